@@ -38,7 +38,6 @@ from deepmf_sumo.judge.ladder import LEAST_DELTA_V_MPS, WALKING_MPS
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
 _REFUSALS = 12  # verifying a candidate takes some milliseconds
-_TELLING_SHARE = 0.5  # of a candidate's collision mass
 _BEHIND_SHARE = 0.1  # of a candidate's collision mass; some AVs may brake in any case
 
 
@@ -421,11 +420,12 @@ class NoRearEnd(Constraint):
 class Telling(Constraint):
     """The hit says something about the AV: it drives, and is pushed by more than a touch.
 
-    An AV that stands can do nothing, and a touch harms nobody (`judge.ladder`).
+    An AV that stands can do nothing, and a touch harms nobody (`judge.ladder`). Where there is
+    nothing better, they are attacks all the same.
     """
 
     name = "telling"
-    scope = "attack"
+    scope = "preferred"
 
     def __init__(self, settings: Settings) -> None: ...
 
@@ -434,10 +434,7 @@ class Telling(Constraint):
     ) -> Bools:
         step, sizes = pairs.collision_step, (situation.size_m, situation.av_size_m)
         pushed = delta_v(own.forecast.futures, reactions, *sizes, step) >= LEAST_DELTA_V_MPS
-        tells = pushed & (av_moves(situation, reactions, step) >= WALKING_MPS)
-        mass = (pairs.reaction_probability * (pairs.collides & tells)).sum(axis=1)
-        allowed: Bools = mass >= _TELLING_SHARE * pairs.mass
-        return allowed
+        return pushed & (av_moves(situation, reactions, step) >= WALKING_MPS)
 
 
 class Sector(Constraint):

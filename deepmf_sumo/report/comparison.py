@@ -12,6 +12,7 @@ import pandas as pd
 
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.grading import GRADES
+from deepmf_sumo.judge.ladder import RUNGS
 from deepmf_sumo.results import findings, statistics
 from deepmf_sumo.results.findings import APART, NAMES
 from deepmf_sumo.results.quantities import BY_NAME
@@ -69,6 +70,11 @@ class Group:
     def worth(self) -> findings.Count:
         """What the hits are worth."""
         return findings.count(run.worth for run in self.hits)
+
+    @cached_property
+    def tries(self) -> list[list[str]]:
+        """Of each run that looked for a finding what its tries were."""
+        return [found for run in self.attacked if (found := run.tries)]
 
     @property
     def fair_hits(self) -> int:
@@ -303,10 +309,20 @@ def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
         lines.append(
             ("simulated episodes, mean", "episodes", lambda one: _of_runs(one.ok, "simulations", 1))
         )
+    if any(group.tries for group in groups):
+        lines.append(("tries for a finding: misses, hits by rung", "", _tries))
     return tuple(
         Line(label=label, short=short, cells=tuple(cell(group) for group in groups))
         for label, short, cell in lines
     )
+
+
+def _tries(group: Group) -> str:
+    """Of one run each in turn, of several their numbers."""
+    if len(group.tries) == 1:
+        return findings.tried(group.tries[0])
+    number = Counter(one for tries in group.tries for one in tries)
+    return ", ".join(f"{one} {number[one]}" for one in ("miss", *RUNGS) if number[one])
 
 
 def _succeeded(group: Group) -> str:

@@ -6,7 +6,7 @@ rungs: there a *valid* hit counts as a finding, and `earlier_note` says so.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -89,6 +89,14 @@ def said(one: Worth | None) -> str:
     if one.rung is None:
         return "valid" if one.finding else "not valid"
     return f"{NAMES[one.rung]} ({one.rung})"
+
+
+def tried(tries: Sequence[str]) -> str:
+    """Several tries of an attack in words, e.g. ``4 tries: miss, hit C, hit B``; else empty."""
+    if len(tries) < 2:
+        return ""
+    each = ", ".join(one if one == "miss" else f"hit {one}" for one in tries)
+    return f"{len(tries)} tries: {each}"
 
 
 def by_whom(one: Worth | None, *, words: bool = False) -> str:

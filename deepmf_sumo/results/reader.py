@@ -132,6 +132,11 @@ class Run:
         return self.outcome == HIT
 
     @property
+    def tries(self) -> list[str]:
+        """What each try for a finding was: ``miss`` or the rung of its hit; empty of other runs."""
+        return self.result["search"]["tries"] if self.status == "ok" and self.has_result else []
+
+    @property
     def attacked(self) -> bool:
         """Whether there was a vehicle to attack with."""
         return self.result["opponent"] is not None

@@ -19,6 +19,7 @@ from deepmf_sumo.datatypes import (
     MetricValue,
     RecordedCase,
     Rollout,
+    Trial,
     Turn,
 )
 from deepmf_sumo.datatypes.rollout import decisive
@@ -26,7 +27,7 @@ from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
 from deepmf_sumo.judge.causes import cause_of
-from deepmf_sumo.judge.ladder import verdict
+from deepmf_sumo.judge.ladder import RUNGS, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.tasks import Label, Task
@@ -198,7 +199,8 @@ class Result(TypedDict, total=False):
         samples: the opponent's accelerations, for pooled naturalness.
         plans: their number.
         rules: of all plans: the rule that chose, or why there is no attack.
-        search: simulated episodes, and each trial of a search or of several tries.
+        search: simulated episodes, and each trial of a search or of several tries; ``tries``: of
+            those for a finding, what each was: ``miss`` or the rung of its hit.
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
         turns: where opponents take turns.
@@ -290,6 +292,8 @@ COLUMNS: Final = (
     "profile",
     "constraints",
 )
+_LOOKED_FOR: Final = "finding"
+"""Trials that have this value looked for findings."""
 IDENTITY: Final = ("spec", "scene", "network", "seed", "method", "planner_label", "part")
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
 """Columns that differ between equal runs."""
@@ -349,6 +353,7 @@ def finished(
         "search": {
             "simulations": attack.simulations,
             "trials": [asdict(trial) for trial in attack.trials],
+            "tries": [_tried(trial) for trial in attack.trials if _LOOKED_FOR in trial.values],
             "out_of_time": attack.out_of_time,
         },
         "conversion": _conversion(_report(case)),
@@ -493,6 +498,12 @@ def _contact(contact: Contact, rollout: Rollout) -> Any:
     for name in ("pose_first", "pose_second"):
         values[name] = [float(value) for value in values[name]]
     return {name: _plain(value) for name, value in values.items()}
+
+
+def _tried(trial: Trial) -> str:
+    if "rung" in trial.values:
+        return RUNGS[round(trial.values["rung"])]
+    return "miss"
 
 
 def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:

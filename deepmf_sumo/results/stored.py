@@ -105,6 +105,7 @@ class _Samples(_Part):
 
 class _Search(_Part):
     simulations: int
+    tries: list[str] = []
 
 
 class _Budget(_Part):

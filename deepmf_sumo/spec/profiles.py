@@ -44,7 +44,7 @@ class Profile:
 
 PROFILES: Final[dict[ProfileName, Profile]] = {
     "fair": Profile(
-        constraints=("fair", "no_rear_end", "on_road", "telling", "with_traffic"), tries=4
+        constraints=("clean", "fair", "no_rear_end", "telling", "with_traffic"), tries=4
     ),
     "any": Profile(),
     "lawful": Profile(constraints=("lawful",)),

@@ -102,3 +102,8 @@ def test_a_test_case_says_what_the_hit_is_worth():
     hit = gate_doubles.result(hit=True, metrics=valued(worth_doubles.metrics("C")))
     assert junit._case(hit).output.startswith("outcome: av_opponent, contrived (C); files: ")
     assert junit._case(gate_doubles.result()).output.startswith("outcome: none; files: ")
+
+
+def test_the_tries_of_an_attack_are_told_one_after_another():
+    assert findings.tried(["miss", "C", "B"]) == "3 tries: miss, hit C, hit B"
+    assert findings.tried(["A"]) == findings.tried([]) == ""

@@ -15,6 +15,7 @@ from deepmf_sumo.report.page.roads import Roads, element
 from deepmf_sumo.report.table import OUTCOMES
 from deepmf_sumo.results import artifacts, stored
 from deepmf_sumo.results.failures import Failure, failure_of
+from deepmf_sumo.results.findings import tried
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, attacked
 
@@ -126,7 +127,7 @@ def _element(run: Run, road: RoadMap | None) -> str:
 
 
 def _facts(run: Run, result: Result | None) -> dict[str, Any]:
-    facts: dict[str, Any] = {"metrics": {}, "events": [], "turns": [], "repairs": []}
+    facts: dict[str, Any] = {"metrics": {}, "events": [], "turns": [], "repairs": [], "tries": ""}
     if result:
         facts |= {name: value for name, value in result.items() if name in _FACTS}
     if result and result["status"] == "ok":
@@ -141,6 +142,7 @@ def _facts(run: Run, result: Result | None) -> dict[str, Any]:
             ],
             "turns": _turns(result["turns"] or []),
             "repairs": result["repairs"],
+            "tries": tried(result["search"]["tries"]),
         }
     log = run.log_text.splitlines()[-_LOG_LINES:]
     return {**facts, "spec": run.spec_text, "log": "\n".join(log)}

@@ -152,6 +152,7 @@ function textsOf(details) {
     Settings: details.settings ? JSON.stringify(details.settings, null, 2) : "",
     Spec: details.spec,
     "Repairs of the recording": details.repairs.join("\n"),
+    Tries: details.tries,
     "End of the log": details.log,
   };
   return Object.entries(texts)
