@@ -121,8 +121,13 @@ class Approach:
         names = {one.name for one in fields(self)} - {"size_m", "av_size_m", "dt_s"}
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
-    def seen(self, step: int, along_m: Floats, speed_mps: Floats, braking_mps2: Floats) -> "Sight":
-        """Perception of drivers at arc lengths, speeds and decelerations (D, N) at a step."""
+    def seen(
+        self, step: int | Ints, along_m: Floats, speed_mps: Floats, braking_mps2: Floats
+    ) -> "Sight":
+        """Perception of drivers at arc lengths, speeds and decelerations (D, N) at a step.
+
+        At S steps: all (N, S), of one driver.
+        """
         front_m = along_m + self.av_size_m[0] / 2
         rear = front_m - self.av_size_m[0]
         along_mps, enters_s = self.along_mps[:, step], self.enters_s[:, step]
@@ -384,23 +389,61 @@ def drive(
     AV's arc lengths. From then on it brakes by its model, keeps its speed if the model does not
     brake, and is never faster than the AV was.
     """
-    shape, dt = (len(models), len(approach.heading_rad)), approach.dt_s
-    speeds, first = np.maximum(np.gradient(av_along_m, dt), 0.0), int(np.min(start))
-    along = np.tile(av_along_m, (*shape, 1))
-    speed, braking = np.full(shape, speeds[first]), np.zeros(shape)
-    aware, since = np.zeros(shape, bool), np.zeros(shape)
-    risk, wanted = np.zeros(shape, bool), np.zeros(shape)
+    begin = np.broadcast_to(start, len(approach.heading_rad))
+    speeds, first = np.maximum(np.gradient(av_along_m, approach.dt_s), 0.0), int(begin.min())
+    moved = [av_along_m[first], *np.diff(av_along_m[first:])]
+    alone = np.concatenate([av_along_m[:first], np.add.accumulate(moved)])
+    aware_from = _aware_from(models, approach, alone, speeds, begin)
+    along = np.tile(alone, (*aware_from.shape, 1))
+    rows = np.flatnonzero((aware_from < approach.steps).any(axis=0))
+    if len(rows):
+        since = aware_from[:, rows]
+        along[:, rows] = _braked(models, approach.among(rows), along[:, rows], speeds, since)
+    return along
+
+
+def _aware_from(
+    models: Sequence[Driver], approach: Approach, along_m: Floats, speed_mps: Floats, start: Ints
+) -> Ints:
+    """(D, N) first step from ``start`` (N) on at which a driver perceives a risk; K: none.
+
+    Until then it drives as the AV did, so that all steps are looked at together. What it perceives
+    at the last step has no consequence.
+    """
+    steps = np.arange(approach.steps - 1)
+    shape = len(approach.heading_rad), len(steps)
+    speed, none = np.broadcast_to(speed_mps[:-1], shape), np.zeros(shape)
+    seen = approach.seen(steps, np.broadcast_to(along_m[:-1], shape), speed, none)
+    found = np.full((len(models), shape[0]), approach.steps)
+    for d, model in enumerate(models):
+        risk = model.respond(seen, none)[0] & (steps >= start[:, None])
+        some = risk.any(axis=1)
+        found[d, some] = risk[some].argmax(axis=1)
+    return found
+
+
+def _braked(
+    models: Sequence[Driver],
+    approach: Approach,
+    along_m: Floats,
+    speeds_mps: Floats,
+    aware_from: Ints,
+) -> Floats:
+    """(D, N, K) the arc lengths ``along_m`` where drivers brake once they are aware (D, N)."""
+    along, dt, first = along_m.copy(), approach.dt_s, int(aware_from.min())
+    speed = np.full(aware_from.shape, speeds_mps[first])
+    braking, since, wanted = np.zeros((3, *aware_from.shape))
     for step in range(first, approach.steps - 1):
         seen = approach.seen(step, along[..., step], speed, braking)
-        since = np.where(aware, since + dt, 0.0)
+        since = np.where(step > aware_from, since + dt, 0.0)
         for d, model in enumerate(models):
-            risk[d], wanted[d] = model.respond(seen.of(d), since[d])
-        aware = aware | (risk & (step >= np.asarray(start)))
+            wanted[d] = model.respond(seen.of(d), since[d])[1]
+        aware = step >= aware_from
         braking = np.where(aware, wanted, 0.0)
-        slower = np.minimum(np.maximum(speed - braking * dt, 0.0), speeds[step + 1])
-        moved = np.where(aware, (speed + slower) / 2 * dt, av_along_m[step + 1] - av_along_m[step])
-        along[..., step + 1] = along[..., step] + moved
-        speed = np.where(aware, slower, speeds[step + 1])
+        slower = np.minimum(np.maximum(speed - braking * dt, 0.0), speeds_mps[step + 1])
+        moved = along[..., step] + (speed + slower) / 2 * dt
+        along[..., step + 1] = np.where(aware, moved, along[..., step + 1])
+        speed = np.where(aware, slower, speeds_mps[step + 1])
         if (aware & (speed == 0.0)).all():  # drivers that have stopped stay stopped
             along[..., step + 2 :] = along[..., step + 1 : step + 2]
             break

@@ -183,6 +183,46 @@ def test_many_futures_at_once_are_the_same_as_one_by_one():
     assert 0 < together.sum() < 8
 
 
+def step_by_step(model, approach, av_along_m, start):
+    """(N, K) as `drive`, by the words of its description: each motion and step by itself."""
+    speeds = np.maximum(np.gradient(av_along_m, DT), 0.0)
+    along = np.tile(av_along_m, (len(start), 1))
+    for row, begin in enumerate(start):
+        one, aware, since = approach.among(np.array([row])), False, 0.0
+        speed, braking = speeds[:1], np.zeros(1)
+        for step in range(approach.steps - 1):
+            seen = one.seen(step, along[row, step : step + 1], speed, braking)
+            since = since + DT if aware else 0.0
+            risk, wanted = model.respond(seen, np.full(1, since))
+            aware = aware or bool(risk[0] and step >= begin)
+            if aware:
+                braking = wanted
+                slower = np.clip(speed - braking * DT, 0.0, speeds[step + 1])
+                along[row, step + 1] = along[row, step] + (speed[0] + slower[0]) / 2 * DT
+                speed = slower
+            else:
+                along[row, step + 1] = along[row, step] + av_along_m[step + 1] - av_along_m[step]
+                speed = speeds[step + 1 : step + 2]
+    return along
+
+
+def test_drivers_drive_as_described_step_by_step():
+    rng = np.random.default_rng(2)
+    seconds = np.arange(STEPS) * DT
+    x = 18.0 + rng.uniform(-4, 14, (12, 1)) * seconds
+    y = rng.choice([-1, 1], (12, 1)) * np.abs(4.0 - rng.uniform(0, 4, (12, 1)) * seconds)
+    path = AvPath.through(np.zeros((1, 2)), np.zeros(1), np.empty((0, 2)))
+    approach = Approach.of(path, np.stack([x, y], -1), np.zeros((12, STEPS)), CAR, CAR, DT)
+    driven, start = 13.0 * seconds - 0.3 * seconds**2, rng.integers(0, 30, 12)
+    found = drive(list(reference_drivers.MODELS.values()), approach, driven, start)
+    for one, model in zip(found, reference_drivers.MODELS.values(), strict=True):
+        expected = step_by_step(model, approach, driven, start)
+        np.testing.assert_allclose(one, expected, atol=1e-9)
+        braked = np.abs(expected - driven).max(axis=1) > 0.1
+        assert braked.any()
+    assert not (np.abs(found - driven).max(axis=-1) > 0.1).all()
+
+
 def test_any_and_all_are_what_each_driver_says():
     """Also where each driver takes over at another time: futures that leave what was expected."""
     rng = np.random.default_rng(1)
