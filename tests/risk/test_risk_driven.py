@@ -35,7 +35,7 @@ def test_vehicles_asked_for_are_read_whole_wherever_the_text_is_cut(tmp_path, mo
     others = [("12", "opponent"), ("123", "other"), (OPPONENT, "opponent"), ("à 12", "other")]
     write(file, [("ego", "av"), *others], 60)
     monkeypatch.setattr(stored_tracks, "_PIECE", piece)
-    read = tracks.read_tracks(file, ["12", OPPONENT, "never there"])
+    read = stored_tracks.read_tracks(file, ["12", OPPONENT, "never there"])
     found = read.tracks
     assert read.av_id == "ego"
     assert set(found.ids) == {"ego", "12", OPPONENT}
@@ -54,12 +54,12 @@ def test_vehicles_asked_for_are_read_whole_wherever_the_text_is_cut(tmp_path, mo
 def test_heights_are_read_where_a_result_has_them(tmp_path):
     file = tmp_path / "tracks.csv.gz"
     write(file, [("ego", "av"), ("12", "opponent")], 20)
-    assert not tracks.read_tracks(file, ["12"]).tracks.z_m.any()
+    assert not tracks.read_tracks(file).tracks.z_m.any()
     with gzip.open(file, "rt", encoding="utf-8") as stream:
         head, *rows = stream.read().splitlines()
     with gzip.open(file, "wt", encoding="utf-8") as stream:
         stream.write("\n".join([head + ",z_m", *(row + ",8.0" for row in rows)]) + "\n")
-    found = tracks.read_tracks(file, ["12"]).tracks
+    found = tracks.read_tracks(file).tracks
     assert (found.z_m[found.valid] == 8.0).all()
 
 
@@ -70,4 +70,4 @@ def test_a_file_cut_short_is_refused_by_name(tmp_path, share):
     whole = file.read_bytes()
     file.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(UsageError, match=r"tracks.csv.gz is damaged \(.+\); run it again"):
-        tracks.read_tracks(file, ["12"])
+        tracks.read_tracks(file)
