@@ -56,7 +56,7 @@ def run(
     Raises SpecError for a wrong spec, UsageError for a plan beside other files or ``seeds``,
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
-    paths = [Path(path) for path in ([specs] if isinstance(specs, str | Path) else specs)]
+    paths = _paths(specs)
     options = batch.Options(
         out=Path(out), jobs=jobs, draw=picture.draw if pictures else None, timeout_s=timeout_s,
         memory_mb=memory_mb, resume=resume, overwrite=overwrite,
@@ -158,7 +158,6 @@ def attack(
     Raises UsageError, SpecError or SimulationError for what is wrong, before anything is attacked;
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
-    paths = [Path(path) for path in ([configs] if isinstance(configs, str | Path) else configs)]
     if encounters and prefer not in (None, "encounters"):
         raise UsageError(f"encounters contradicts prefer={prefer!r}; give one of them.")
     keys = {
@@ -169,7 +168,7 @@ def attack(
         "seed": seed,
     }
     documents = moments_module.documents(
-        paths,
+        _paths(configs),
         {key: value for key, value in keys.items() if value is not None},
         sets if tries is None else (f"adversary.tries={tries}", *sets),
         sumo_options=sumo_options,
@@ -194,6 +193,10 @@ def attack(
     )  # fmt: skip
     plans.run_specs(specs, options, by_option=True)
     return Results.of(Path(out))
+
+
+def _paths(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    return [Path(path) for path in ([given] if isinstance(given, str | Path) else given)]
 
 
 def _absolute(path: str | Path | None) -> str | None:

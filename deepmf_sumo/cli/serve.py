@@ -1,8 +1,9 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -59,25 +60,15 @@ def command(
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._leaving import leaving
-    from deepmf_sumo.cli._screen import show_session, tell_jump, tell_switch
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.live.record import SUMO_FILES
-    from deepmf_sumo.live.session import parts_of_a_step
-    from deepmf_sumo.simulation.sumo_config import read_configuration
 
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
-    # what is wrong with them shows before a client comes
-    given_s = _step_length(options)
-    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
-        step_s = read_configuration(config).step_s
-        given_s = step_s if given_s is None else given_s
-    if given_s is not None:
-        parts_of_a_step(given_s)
+    _check_step(config, options)
     wish, stay = (
         {field.name: given[field.name] for field in fields(kind) if field.name in given}
         for kind in (live.Wish, Stay)
     )
-    done = None
     with (
         closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
@@ -85,21 +76,9 @@ def command(
         prepared.record.written_by_sumo() as written,
         live.Server(config, port, written, options, gui=gui) as server,
     ):
-        click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
-        prepared.record.switched = tell_switch
-        prepared.record.jumped = tell_jump
-        server.await_client(stopped)
-        if not stopped():
-            server.check()
         whole = Stay(patience_s=float("inf"), **stay)
-        try:
-            for done in _simulations(  # noqa: B007 - the last is shown
-                server, prepared, whole, stopped, tell, watch
-            ):
-                pass
-        finally:
-            if done is not None:
-                show_session(done, given["avs"], out)
+        sessions = partial(_simulations, server, prepared, whole, stopped, tell, watch)
+        _served(server, prepared, stopped, sessions, partial(_show, given["avs"], out))
         code = exit_code("interrupted" if stopped() else "failed" if server.unused else "fine")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
@@ -107,6 +86,50 @@ def command(
     if (out / SUMO_FILES).is_dir():
         click.echo(f"what SUMO itself wrote is in {out / SUMO_FILES}")
     ctx.exit(code if server.joined else exit_code("interrupted"))
+
+
+def _check_step(config: Path, options: Sequence[str]) -> None:
+    """Raise what is wrong with the step length before a client comes."""
+    from deepmf_sumo.live.session import parts_of_a_step
+    from deepmf_sumo.simulation.sumo_config import read_configuration
+
+    given_s = _step_length(options)
+    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
+        step_s = read_configuration(config).step_s
+        given_s = step_s if given_s is None else given_s
+    if given_s is not None:
+        parts_of_a_step(given_s)
+
+
+def _served(
+    server: "Server",
+    prepared: "Prepared",
+    stopped: "Leaving",
+    sessions: "Callable[[], Iterator[Attached]]",
+    show: "Callable[[Attached], None]",
+) -> None:
+    """Wait for the client and attack in all simulations that it loads; show how the last went."""
+    from deepmf_sumo.cli._screen import tell_jump, tell_switch
+
+    click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
+    prepared.record.switched = tell_switch
+    prepared.record.jumped = tell_jump
+    server.await_client(stopped)
+    if not stopped():
+        server.check()
+    done = None
+    try:
+        for done in sessions():  # noqa: B007 - the last is shown
+            pass
+    finally:
+        if done is not None:
+            show(done)
+
+
+def _show(avs: Sequence[str], out: Path, done: "Attached") -> None:
+    from deepmf_sumo.cli._screen import show_session
+
+    show_session(done, avs, out)
 
 
 def _simulations(

@@ -431,28 +431,11 @@ def attach(
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
     lost or the AV never appears; attacks before that are in the folder.
     """
-    wish, record = prepared.wish, prepared.record
-
-    def add(attack: LiveAttack) -> None:
-        record.add(attack)
-        tell(record.rows[-1])
-
+    record = prepared.record
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        clients = others(api) if left is None else 1  # all of them are connected by now
-
-        def driven() -> bool:
-            if left is not None:
-                return not left()
-            return not clients or others(api) != 0
-
-        number = record.simulations + 1
-        own = sessions(api, wish, prepared.spec, add, prepared.policies, driven, number)
+        own, clients = _joined(api, prepared, tell, left)
         collisions = str(api.simulation.getOption("collision.action"))
-        record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
-        for one in own:
-            one.switched = record.switch
-        own[0].jumped = record.jump  # all of them see the same
         watch(own)
         steps = Lockstep(api, own, stay, stopped)
     end: str = "failed"
@@ -478,6 +461,35 @@ def attach(
         watched=clients is not None,
         switches=record.switches,
     )
+
+
+def _joined(
+    api: LiveApi,
+    prepared: Prepared,
+    tell: Callable[[dict[str, Any]], None],
+    left: Callable[[], bool] | None,
+) -> tuple[Sequence[Session], int | None]:
+    """A session for each AV, and how many other clients there are; None where that is not known."""
+    wish, record = prepared.wish, prepared.record
+
+    def add(attack: LiveAttack) -> None:
+        record.add(attack)
+        tell(record.rows[-1])
+
+    clients = others(api) if left is None else 1  # all of them are connected by now
+
+    def driven() -> bool:
+        if left is not None:
+            return not left()
+        return not clients or others(api) != 0
+
+    number = record.simulations + 1
+    own = sessions(api, wish, prepared.spec, add, prepared.policies, driven, number)
+    record.begin(setting_of(own[0], wish, planner="sumo" if clients == 0 else "script"))
+    for one in own:
+        one.switched = record.switch
+    own[0].jumped = record.jump  # all of them see the same
+    return own, clients
 
 
 _NUMBERS = (

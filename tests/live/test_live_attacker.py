@@ -172,10 +172,10 @@ def test_an_earlier_session_is_deleted_only_where_that_is_asked_for(started, pol
 def test_an_attack_that_cannot_be_measured_is_a_row(started, tmp_path, monkeypatch):
     monkeypatch.setattr(attacker_module, "policy_of", lambda spec: Keep())
 
-    def broken(rollout, case):
+    def broken(*_):
         raise ZeroDivisionError("of a metric")
 
-    monkeypatch.setattr(record, "measure", broken)
+    monkeypatch.setattr(record, "measured", broken)
     with deepmf_sumo.Attacker(started, av="av", duration_s=3.0, out=tmp_path / "live") as attacker:
         drive(started, attacker, 60)
     with (tmp_path / "live" / "runs.csv").open() as table:
