@@ -12,7 +12,8 @@ changes have an order, and the first that avoids the hit is its cause:
    earlier, brakes up to 6 m/s2 (as hard as two of the three reference drivers), reacts 1 s earlier;
    an AV that never braked reacts at all. No reaction comes sooner than 0.75 s after the onset,
    which is the drivers' own.
-3. More than reference drivers do: a reaction sooner than that, braking up to 8 m/s2 (grip).
+3. More than drivers do: a reaction sooner than that, braking up to 8 m/s2 (grip), and 2 s of
+   distance where the AV kept 0.9 s or more, as most drivers do.
 4. It drives 20 % slower. A speed below the limit is no error, and a later AV also avoids by chance
    what crosses its path.
 5. Another driver takes over at the onset: a reference driver sees the danger, or a manoeuvre that
@@ -60,6 +61,8 @@ Change = Literal[
 CHANGES: Final[tuple[Change, ...]] = get_args(Change)
 
 TIME_GAP_S: Final = 2.0
+CLOSE_S: Final = 0.9
+"""Less is fined (in Germany from 0.9 s downwards); 1 to 2 s are usual."""
 SLOWER: Final = 0.8
 BRAKING_MPS2: Final = (4.0, 6.0, 8.0)
 _MARGIN_M: Final = 1.0
@@ -187,7 +190,8 @@ def _by_rules(episode: Episode, encounter: Encounter, hit: Hit, drive: Drive) ->
     gap_m = _following_m(encounter)
     if gap_m is not None and gap_m < TIME_GAP_S * speed:
         what = f"to keep a time gap of {TIME_GAP_S:.0f} s (it kept {gap_m / speed:.1f} s)"
-        yield 14, "keeps its distance", what, drive.farther_back(TIME_GAP_S * speed - gap_m)
+        place = 14 if gap_m < CLOSE_S * speed else 33
+        yield place, "keeps its distance", what, drive.farther_back(TIME_GAP_S * speed - gap_m)
     since = drive.braking_from(drive.onset - round(_PHANTOM_S / drive.dt_s))
     if hit.conflict == "rear-end" and hit.side == "behind" and since is not None:
         yield 15, "does not brake", "not to brake", drive.not_braking(since)
