@@ -58,9 +58,13 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--seeds", type=int, nargs="+", default=[1])
     run.add_argument(
         "--false-alarms", type=_seeds, nargs="+", default=[(101,), (102,), (103,)], metavar="SEEDS",
-        help="of the careful planner's other runs, e.g. 101-104; each is compared with the first",
+        help="of the careful planner's other runs, e.g. 101-104; each is compared with all before",
     )  # fmt: skip
-    run.add_argument("--faults", nargs="+", choices=tuple(FAULTS), help="default: the open half")
+    run.add_argument(
+        "--later-seeds", type=int, nargs="*", default=[],
+        help="added for planners that the first seeds do not report",
+    )  # fmt: skip
+    run.add_argument("--faults", nargs="+", choices=("all", *FAULTS), help="default: the open half")
     run.add_argument(
         "--specs", type=Path, nargs="+", help="default: moments of the packaged networks"
     )
@@ -85,7 +89,10 @@ def main() -> int:
     try:
         if given.command == "causes":
             return _causes(given.folders)
-        print(measure.table(measure.measured(measure.Asked.of(given))))
+        asked = measure.Asked.of(given)
+        found = measure.table(measure.measured(asked, lambda line: print(line, file=sys.stderr)))
+        print(found)
+        (asked.out / "table.md").write_text(found + "\n", "utf-8")
     except DeepmfError as error:
         print(error, file=sys.stderr)
         return 2

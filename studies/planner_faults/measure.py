@@ -1,16 +1,20 @@
 """Which faults the gate of `deepmf-sumo check` reports when one method attacks all planners.
 
-Each planner has a result folder; the careful planner's is the baseline of the others. Its runs with
-other seeds are compared with it as well: what the gate reports there is a false alarm.
+Each planner has a result folder; the careful planner's is the baseline of the others, at the same
+moments. Every run is attacked, and measured without attack, too. What the first seeds do not report
+gets the later seeds as well.
 
-The hits of both planners are repeated as well (`check --same-attacks`): a hit that the careful
-planner avoids where the opponent drives the same path is the fault's own. Whether one of the first
-three failures that `report` shows is such a hit is counted.
+The hits of both planners are repeated (`check --same-attacks`): a hit that the careful planner
+avoids where the opponent drives the same path is the fault's own.
+
+False alarms: the careful planner has runs of other seeds, and each set of runs is compared with all
+before it; a copy without fault that drives by its own IDM, as faulty ones do, is the control.
 """
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -19,21 +23,20 @@ import yaml
 
 from deepmf_sumo import gate
 from deepmf_sumo import spec as specs
-from deepmf_sumo.gate.verdict import own_hits, regression
 from deepmf_sumo.plans import run_specs
-from deepmf_sumo.results.failures import failures
-from deepmf_sumo.results.groups import grouped
+from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import FromMoments, Spec
 from deepmf_sumo.sweep import batch
+from deepmf_sumo.tables import to_markdown
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import halves
+from studies.planner_faults.own_causes import First, first_cause
 
 SUITE: Final = Path(__file__).resolve().parents[2] / "suite"
 """Moments of the packaged networks' traffic: each is a situation of its own for the gate."""
 FAULTY: Final = "studies.planner_faults.faults:Faulty"
-_SHOWN: Final = 3
-"""Groups of failures at the top of `report`, each with an example."""
+CONTROL: Final = "careful by its own IDM"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,8 +48,9 @@ class Asked:
             that names one.
         budget: simulations of an attack; None is the method's own.
         moments: in place of the number in specs that choose moments; None keeps it.
-        other_seeds: of the runs for false alarms, one comparison each.
-        thresholds: a file of `check`; None compares what `check` compares by itself.
+        later_seeds: of planners that are not reported with the first ``seeds``, added to these.
+        other_seeds: of the runs for false alarms, one set each.
+        thresholds: a file of `check`; None judges what `check` judges by itself.
     """
 
     method: str
@@ -54,6 +58,7 @@ class Asked:
     moments: int | None
     jobs: int
     seeds: tuple[int, ...]
+    later_seeds: tuple[int, ...] = ()
     other_seeds: tuple[tuple[int, ...], ...]
     faults: tuple[str, ...]
     specs: tuple[Path, ...]
@@ -64,14 +69,16 @@ class Asked:
     def of(cls, given: argparse.Namespace) -> Self:
         """Of the command line."""
         half = halves(FAULTS)
+        chosen = given.faults or [name for name in FAULTS if half[name] == "open"]
         return cls(
             method=given.method,
             budget=given.budget,
             moments=given.moments,
             jobs=given.jobs,
             seeds=tuple(given.seeds),
+            later_seeds=tuple(given.later_seeds),
             other_seeds=tuple(given.false_alarms),
-            faults=tuple(given.faults or (name for name in FAULTS if half[name] == "open")),
+            faults=tuple(FAULTS) if chosen == ["all"] else tuple(chosen),
             specs=tuple(given.specs or sorted(SUITE.glob("*.yaml"))),
             thresholds=given.thresholds,
             out=given.out,
@@ -79,88 +86,164 @@ class Asked:
 
 
 class Found(NamedTuple):
-    """A planner, its runs, and what the gate says of them against the careful planner.
+    """What the gate says of a planner's runs, against those of the careful planner.
 
-    ``episodes``: simulated ones, all tries counted, without the ``repeated`` ones. ``own``: hits
+    ``episodes``: simulated attacks, all tries counted, without the ``repeated`` ones. ``own``: hits
     that the careful planner avoids in the same attack; ``baseline_own``: the other way round.
-    ``shown``: failures that `report` shows first; ``first``: own hits among them. ``reported``: a
-    judged quantity is worse, or the own hits are more than chance.
+    ``by``: what is reported, by kind of failure and quantity; empty: nothing.
     """
 
-    planner: str
     runs: int
     episodes: int
     hits: int
-    avoidable: int
-    valid: int
+    findings: int
     own: int = 0
     baseline_own: int = 0
     repeated: int = 0
-    shown: int = 0
-    first: int = 0
-    reported: bool = False
-    verdict: str = ""
+    by: tuple[str, ...] = ()
 
 
-def measured(asked: Asked) -> Iterator[Found]:
-    """The careful planner, its other seeds, and each faulty copy. Raises DeepmfError."""
-    thresholds = gate.load(asked.thresholds) if asked.thresholds else _default()
-    baseline = _run(asked, "none", "careful", asked.seeds)
-    yield _found(asked, "careful", baseline)
+class Line(NamedTuple):
+    """A planner: with the first seeds, with the later ones too (None: not needed), first cause."""
+
+    planner: str
+    first: Found
+    later: Found | None = None
+    cause: First | None = None
+
+
+def measured(asked: Asked, say: Callable[[str], None] = lambda _: None) -> list[Line]:
+    """The careful planner, its other seeds, the control, and each faulty copy.
+
+    ``say`` gets a line when a planner is done. Raises DeepmfError.
+    """
+    thresholds = gate.load(asked.thresholds)
+    lines: list[Line] = []
+
+    def done(line: Line) -> None:
+        lines.append(line)
+        say(_told(line, asked))
+
+    baseline = _run(asked, {"fault": "none"}, "careful", asked.seeds)
+    done(Line("careful", _found(baseline)))
+    sets = [baseline]
     for seeds in asked.other_seeds:
         name = "-".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
-        again = _run(asked, "none", f"careful_{name}", seeds)
-        yield _found(asked, f"careful, seed {name}", again, baseline, thresholds)
-    for name in asked.faults:
-        out = _run(asked, name, name, asked.seeds, baseline)
-        yield _found(asked, name, out, baseline, thresholds)
-
-
-def table(found: Iterator[Found]) -> str:
-    """A line a planner, and how many of each kind the gate reports."""
-    rows = list(found)
-    columns = Found._fields[1:11]
-    lines = [
-        f"{'planner':22}" + "".join(f"{name:>13}" for name in columns) + "  the gate's verdict"
+        sets.append(_run(asked, {"fault": "none"}, f"careful_{name}", seeds))
+        for old in sets[:-1]:
+            found = _judged(asked, sets[-1], old, thresholds, again=False)
+            done(Line(f"{_name(sets[-1])} against {_name(old)}", found))
+    copies: list[tuple[str, dict[str, Any], str]] = [
+        (CONTROL, {"fault": "none", "unguarded": True}, "control"),
+        *((name, {"fault": name}, name) for name in asked.faults),
     ]
-    lines.extend(
-        f"{one.planner:22}" + "".join(f"{getattr(one, name):13}" for name in columns)
-        + f"  {one.verdict}"
-        for one in rows
-    )  # fmt: skip
+    for name, settings, folder in copies:
+        out = _run(asked, settings, folder, asked.seeds, baseline)
+        found = _judged(asked, out, baseline, thresholds)
+        later = None
+        if asked.later_seeds and not found.by:
+            out, later = _with_later_seeds(asked, settings, folder, thresholds)
+        done(Line(name, found, later, first_cause(name, out) if name in FAULTS else None))
+    return lines
+
+
+def _name(folder: Path) -> str:
+    return folder.name.replace("_", " seed ")
+
+
+def _with_later_seeds(
+    asked: Asked, settings: dict[str, Any], folder: str, thresholds: gate.Thresholds
+) -> tuple[Path, Found]:
+    """All seeds of a copy, and of the careful planner; runs that are there are kept."""
+    seeds = (*asked.seeds, *asked.later_seeds)
+    for one in ("careful", folder):
+        if not (asked.out / f"{one}_later").exists():
+            shutil.copytree(asked.out / one, asked.out / f"{one}_later")
+    baseline = _run(asked, {"fault": "none"}, "careful_later", seeds)
+    out = _run(asked, settings, f"{folder}_later", seeds, baseline)
+    return out, _judged(asked, out, baseline, thresholds)
+
+
+HEAD: Final = (
+    "planner", "half", "runs", "episodes", "hits", "findings", "own", "first seeds", "all seeds",
+    "reported by", "first cause",
+)  # fmt: skip
+
+
+def table(lines: Sequence[Line]) -> str:
+    """A Markdown table with a line a planner, and how many of each kind the gate reports."""
     half = halves(FAULTS)
-    for title, kind in (("careful, other seeds", ""), ("open", "open"), ("held out", "held out")):
-        of = [one for one in rows[1:] if half.get(one.planner, "") == kind]
-        reported = f"{title}: {sum(one.reported for one in of)} of {len(of)} reported"
-        first = f"; of {sum(one.first > 0 for one in of)} an own hit is shown first"
-        lines.append(reported + first * bool(kind))
-    return "\n".join(lines)
+    rows = to_markdown(HEAD, [_cells(one) for one in lines])
+    copies = [one for one in lines if one.planner in half]
+    rows.append("")
+    for kind in ("open", "held out"):
+        of = [one for one in copies if half[one.planner] == kind]
+        first = sum(bool(one.first.by) for one in of)
+        all_seeds = sum(_reported(one) for one in of)
+        causes = sum(bool(one.cause and one.cause.own) for one in of)
+        rows.append(
+            f"{kind}: {first} of {len(of)} reported with the first seeds, {all_seeds} with all;"
+            f" of {causes} the first cause is the fault's own"
+        )
+    pairs = [one for one in lines if " against " in one.planner]
+    alarms = sum(bool(one.first.by) for one in pairs)
+    rows.append(f"careful with itself: {alarms} of {len(pairs)} reported")
+    return "\n".join(rows)
 
 
-def _default() -> gate.Thresholds:
-    return gate.Thresholds.model_validate({"version": 1})
+def _reported(line: Line) -> bool:
+    return bool(line.first.by or (line.later and line.later.by))
+
+
+def _cells(line: Line) -> tuple[str, ...]:
+    found = line.later or line.first
+    own = f"{found.own}, {found.baseline_own}"
+    cause = "-"
+    if line.cause:
+        cause = f"{'own' if line.cause.own else 'another'}: {line.cause.sentence}"
+    return (
+        line.planner, halves(FAULTS).get(line.planner, ""), str(found.runs), str(found.episodes),
+        str(found.hits), str(found.findings), own, "yes" if line.first.by else "no",
+        "-" if line.later is None else "yes" if line.later.by else "no",
+        "; ".join(found.by) or "-", cause,
+    )  # fmt: skip
+
+
+def _told(line: Line, asked: Asked) -> str:
+    stages = [(asked.seeds, line.first)]
+    if line.later:
+        stages.append(((*asked.seeds, *asked.later_seeds), line.later))
+    said = (
+        f"seeds {' '.join(map(str, seeds))}: {found.hits} hits of {found.runs},"
+        f" {'; '.join(found.by) or 'nothing reported'}"
+        for seeds, found in stages
+    )
+    return f"{line.planner}: {' | '.join(said)}"
 
 
 def _run(
-    asked: Asked, fault: str, folder: str, seeds: Sequence[int], like: Path | None = None
-) -> Path:
+    asked: Asked, settings: dict[str, Any], folder: str, seeds: Sequence[int],
+    like: Path | None = None,
+) -> Path:  # fmt: skip
     """The result folder of a planner; with ``like`` at the moments of that folder's runs."""
     out = asked.out / folder
-    loaded = [spec_of(file, asked, fault, like) for file in asked.specs]
+    loaded = [spec_of(file, asked, settings, like) for file in asked.specs]
     each = [one.model_copy(update={"seed": seed}) for one in loaded for seed in seeds]
     run_specs(each, batch.Options(out=out, jobs=asked.jobs, resume=out.exists()))
     return out
 
 
-def spec_of(file: Path, asked: Asked, fault: str, like: Path | None = None) -> Spec:
-    """A spec with the method and the faulty copy in place of its own."""
+def spec_of(
+    file: Path, asked: Asked, settings: Mapping[str, Any], like: Path | None = None
+) -> Spec:
+    """A spec with the method and the copy with these settings in place of its own."""
     before = specs.load(file).adversary.settings
     method: Any = yaml.safe_load(asked.method)
     adversary = {"name": method} if isinstance(method, str) else dict(method)
     if "opponent" in before and adversary.get("name", "deepmf") == "deepmf":
         adversary.setdefault("opponent", before["opponent"])
     sets = [
-        f"planner={yaml.safe_dump({'name': FAULTY, 'fault': fault}, default_flow_style=True)}",
+        f"planner={yaml.safe_dump({'name': FAULTY, **settings}, default_flow_style=True)}",
         f"adversary={yaml.safe_dump(adversary, default_flow_style=True)}",
         "expect={}",
     ]
@@ -176,54 +259,45 @@ def spec_of(file: Path, asked: Asked, fault: str, like: Path | None = None) -> S
     return specs.load(file, sets)
 
 
-def _shown(out: Path, same: gate.SameAttacks) -> tuple[int, int]:
-    """The number of failures that are shown first, and of those the fault's own."""
-    results = Results.of(out)
-    found = [one for _, one, _ in failures(results) if one is not None and one.kind == "hit"]
-    examples = [one.example.run.run_id for one in grouped(found, len(results.runs))[:_SHOWN]]
-    return len(examples), sum(one in same.own for one in examples)
-
-
-def _found(
-    asked: Asked,
-    name: str,
-    out: Path,
-    baseline: Path | None = None,
-    thresholds: gate.Thresholds | None = None,
-) -> Found:
-    """A planner's runs; with a baseline, what the gate says of them."""
-    done = Results.of(out).done
-    metrics = [sum(run.metric(one) == 1 for run in done) for one in ("avoidable", "finding")]
-    found = Found(
-        planner=name,
+def _found(out: Path) -> Found:
+    """A planner's runs alone."""
+    done = Results.open(out).done
+    return Found(
         runs=len(done),
         episodes=sum(int(run.result["search"]["simulations"]) for run in done),
         hits=sum(run.hit for run in done),
-        avoidable=metrics[0],
-        valid=metrics[1],
-        verdict="baseline",
+        findings=sum(run.metric("finding") == 1 for run in done),
     )
-    if baseline is None or thresholds is None:
-        return found
+
+
+def _judged(
+    asked: Asked, out: Path, baseline: Path, thresholds: gate.Thresholds, *, again: bool = True
+) -> Found:
+    """What the gate says of a planner's runs; ``again``: hits are repeated with both planners.
+
+    A planner compared with itself has no own hits, so that its hits need not be repeated.
+    """
 
     def repeat(new: Path, old: Path) -> gate.SameAttacks:
         folder, level = asked.out / "same_attacks" / out.name, thresholds.baseline.confidence
         return gate.repeated(new, old, folder, level, asked.jobs)
 
-    verdict = gate.check(out, thresholds, baseline, repeat=repeat)
-    judged = [one for one in verdict.comparisons or () if one.state != "not judged"]
+    verdict = gate.check(out, thresholds, baseline, repeat=repeat if again else None)
     same = verdict.same_attacks
-    assert same is not None
-    worse = [f"REPORTED: {regression(one)}" for one in judged if one.state == "worse"]
-    worse += [f"REPORTED: {own_hits(same)}"] if same.state == "worse" else []
-    states = [f"{one.quantity}: {one.state}" for one in judged]
-    shown, first = _shown(out, same)
+    by = [_named(one.limit) for one in verdict.judgements if one.state == "broken"]
+    by += [_named(one.quantity) for one in verdict.comparisons or () if one.state == "worse"]
+    by += [f"own hits (chance {same.chance:.1g})"] if same and same.state == "worse" else []
+    found = _found(out)._replace(by=tuple(by))
+    if same is None:
+        return found
     return found._replace(
         own=len(same.own),
         baseline_own=len(same.baseline_own),
         repeated=2 * (same.hits + same.baseline_hits),
-        shown=shown,
-        first=first,
-        reported=bool(worse),
-        verdict="; ".join(worse or states),
     )
+
+
+def _named(quantity: str) -> str:
+    """``red run (av_red_run_rate)``."""
+    known = COMPARABLE.get(quantity)
+    return f"{known.failure} ({quantity})" if known and known.failure else quantity

@@ -141,3 +141,34 @@ def test_a_name_of_an_earlier_version_names_that_of_today(tmp_path, text, now):
     with pytest.raises(SpecError, match=now) as raised:
         load(tmp_path, text)
     assert "Known:" not in str(raised.value)
+
+
+@pytest.mark.parametrize(("over", "state"), [(1.0, "held"), (1.01, "broken")])
+def test_rules_have_limits_of_their_own(tmp_path, over, state):
+    """What holds is one row; what is broken names the runs. Earlier results have no values."""
+    rows = [row("a", 0, av_over_limit_mps=0.0, av_red_run_rate=0.0), row("b", 0, ttc_s=1.0)]
+    rows.append(row("c", 0, av_over_limit_mps=over))
+    found = judge(tmp_path, "", rows)
+    kept = found.get(("all runs", thresholds.RULES_KEPT))
+    broken = found.get(("all runs", "av_over_limit_mps"))
+    assert [one.state for one in (kept, broken) if one] == [state]
+    if broken:
+        assert (broken.blamed, broken.runs, broken.bound) == (("made up--c--0",), 2, 1.0)
+    assert len(judge(tmp_path, "", [row("b", 0, ttc_s=1.0)])) == 2  # failed and judged runs
+
+
+def test_limits_of_quantities_can_be_set(tmp_path):
+    rows = [row("a", 0, av_over_limit_mps=3.0, ttc_s=0.5)]
+    found = judge(tmp_path, "limits: {av_over_limit_mps: 4, ttc_s: 1}", rows)
+    assert found["all runs", "av_over_limit_mps"].state == "held"
+    assert found["all runs", "ttc_s"].state == "broken"
+    off = judge(tmp_path, "limits: {av_over_limit_mps: null}", rows)
+    assert not any("over_limit" in limit for _, limit in off)
+    unmeasured = judge(tmp_path, "limits: {av_off_lane_m: 1}", hits(0))
+    assert unmeasured["all runs", "av_off_lane_m"].state == "unfit"
+
+
+def test_groups_have_no_limits_by_default(tmp_path):
+    rows = [row("a", 0, av_over_limit_mps=3.0)]
+    found = judge(tmp_path, "networks: {a: {max_failed_runs: 0}}", rows)
+    assert {group for group, limit in found if limit == "av_over_limit_mps"} == {"all runs"}

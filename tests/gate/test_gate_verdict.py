@@ -252,3 +252,16 @@ def test_summary_is_added_and_long_lists_are_cut(tmp_path):
         verdict_module.write_summary(tmp_path / "no" / "page.md", verdict)
     with pytest.raises(OutputError, match="cannot be written"):
         write_junit(tmp_path / "no" / "junit.xml", verdict)
+
+
+def test_a_broken_rule_is_told_with_its_kind_and_runs(tmp_path):
+    runs = [gate_doubles.result("a", seed) for seed in range(3)]
+    runs[1]["metrics"]["av_red_run"] = {"value": 1.0}
+    runs[2]["plain"] = {"av_frozen": {"value": 0.5}}
+    verdict = gate.check(gate_doubles.write_folder(tmp_path / "new", runs), thresholds(tmp_path))
+    assert verdict.exit_code == 1
+    assert list(verdict.findings()) == [
+        "all runs: red run: av_red_run_rate is 1 (1 run), allowed at most 0; in made-up--a--1",
+        "all runs: frozen command: av_frozen_s is 0.5 s (1 run), allowed at most 0.25 s;"
+        " in made-up--a--2",
+    ]

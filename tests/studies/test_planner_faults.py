@@ -29,6 +29,8 @@ from studies.planner_faults import measure
 from studies.planner_faults.faults import FAULTS, Faulty, Settings
 from studies.planner_faults.halves import FROZEN, frozen_text, halves
 
+from tests.support import gate_doubles
+
 ROOT = Path(__file__).resolve().parents[2]
 NORTH, SOUTH = np.pi / 2, -np.pi / 2
 
@@ -199,7 +201,7 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
         faults=("narrow",), specs=(), thresholds=None, out=Path("unused"),
     )  # fmt: skip
     file = ROOT / "scenarios" / "cut_in.yaml"
-    spec = measure.spec_of(file, asked, "narrow")
+    spec = measure.spec_of(file, asked, {"fault": "narrow"})
     assert (spec.planner.name, spec.planner.settings) == (measure.FAULTY, {"fault": "narrow"})
     assert spec.adversary.settings == {
         "constraints": [],
@@ -208,7 +210,7 @@ def test_a_measured_spec_keeps_the_opponent_and_takes_method_budget_and_fault():
         "rule": "likeliest",
     }
     assert spec.budget.simulations == 4
-    other = measure.spec_of(file, dataclasses.replace(asked, method="bga"), "none")
+    other = measure.spec_of(file, dataclasses.replace(asked, method="bga"), {"fault": "none"})
     assert other.adversary.name == "bga"
 
 
@@ -219,6 +221,38 @@ def test_a_copy_is_attacked_at_the_moments_of_the_baseline(tmp_path):
     )  # fmt: skip
     (file, *others) = sorted(measure.SUITE.glob("*.yaml"))
     assert len(others) == 6
-    assert measure.spec_of(file, asked, "none").source.moments.count == 3
-    again = measure.spec_of(file, asked, "narrow", like=tmp_path).source.moments
+    assert measure.spec_of(file, asked, {"fault": "none"}).source.moments.count == 3
+    again = measure.spec_of(file, asked, {"fault": "narrow"}, like=tmp_path).source.moments
     assert (again.of, again.count) == (tmp_path.resolve(), None)
+
+
+def test_what_the_gate_says_of_a_copy_is_told_by_kind(tmp_path):
+    runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(20)]
+    old = gate_doubles.write_folder(tmp_path / "careful", runs)
+    runs[3]["plain"] = {"av_over_limit": {"value": 2.0}}
+    new = gate_doubles.write_folder(tmp_path / "speeding", runs)
+    asked = measure.Asked(
+        method="deepmf", budget=None, moments=None, jobs=1, seeds=(1,), other_seeds=(),
+        faults=(), specs=(), thresholds=None, out=tmp_path,
+    )  # fmt: skip
+    found = measure._judged(asked, new, old, measure.gate.load(None), again=False)
+    assert (found.runs, found.hits) == (20, 0)
+    assert found.by == ("over the speed limit (av_over_limit_mps)",)
+    assert measure._judged(asked, old, old, measure.gate.load(None), again=False).by == ()
+
+
+def test_the_table_counts_reports_of_each_half_and_false_alarms():
+    nothing = measure.Found(48, 48, 0, 0)
+    told = nothing._replace(by=("red run (av_red_run_rate)",))
+    lines = [
+        measure.Line("careful", nothing),
+        measure.Line("careful seed 101 against careful", told),
+        measure.Line("careful seed 102 against careful", nothing),
+        measure.Line("narrow", nothing, told, measure.First("It turned.", own=True)),
+        measure.Line("tailgates", told),
+        measure.Line("speeding", nothing, nothing),
+    ]
+    text = measure.table(lines)
+    assert "open: 1 of 2 reported with the first seeds, 2 with all; of 1 the first cause" in text
+    assert "held out: 0 of 1 reported with the first seeds, 0 with all; of 0 " in text
+    assert text.endswith("careful with itself: 1 of 2 reported")
