@@ -261,7 +261,7 @@ def spec_of(
 
 def _found(out: Path) -> Found:
     """A planner's runs alone."""
-    done = Results.open(out).done
+    done = Results.of(out).done
     return Found(
         runs=len(done),
         episodes=sum(int(run.result["search"]["simulations"]) for run in done),
@@ -283,11 +283,7 @@ def _judged(
         return gate.repeated(new, old, folder, level, asked.jobs)
 
     verdict = gate.check(out, thresholds, baseline, repeat=repeat if again else None)
-    same = verdict.same_attacks
-    by = [_named(one.limit) for one in verdict.judgements if one.state == "broken"]
-    by += [_named(one.quantity) for one in verdict.comparisons or () if one.state == "worse"]
-    by += [f"own hits (chance {same.chance:.1g})"] if same and same.state == "worse" else []
-    found = _found(out)._replace(by=tuple(by))
+    found, same = _found(out)._replace(by=reported(verdict)), verdict.same_attacks
     if same is None:
         return found
     return found._replace(
@@ -295,6 +291,15 @@ def _judged(
         baseline_own=len(same.baseline_own),
         repeated=2 * (same.hits + same.baseline_hits),
     )
+
+
+def reported(verdict: gate.Verdict) -> tuple[str, ...]:
+    """What is broken or worse, by kind of failure and quantity."""
+    by = [_named(one.limit) for one in verdict.judgements if one.state == "broken"]
+    by += [_named(one.quantity) for one in verdict.comparisons or () if one.state == "worse"]
+    same = verdict.same_attacks
+    by += [f"own hits (chance {same.chance:.1g})"] if same and same.state == "worse" else []
+    return tuple(by)
 
 
 def _named(quantity: str) -> str:

@@ -231,14 +231,10 @@ def test_what_the_gate_says_of_a_copy_is_told_by_kind(tmp_path):
     old = gate_doubles.write_folder(tmp_path / "careful", runs)
     runs[3]["plain"] = {"av_over_limit": {"value": 2.0}}
     new = gate_doubles.write_folder(tmp_path / "speeding", runs)
-    asked = measure.Asked(
-        method="deepmf", budget=None, moments=None, jobs=1, seeds=(1,), other_seeds=(),
-        faults=(), specs=(), thresholds=None, out=tmp_path,
-    )  # fmt: skip
-    found = measure._judged(asked, new, old, measure.gate.load(None), again=False)
-    assert (found.runs, found.hits) == (20, 0)
-    assert found.by == ("over the speed limit (av_over_limit_mps)",)
-    assert measure._judged(asked, old, old, measure.gate.load(None), again=False).by == ()
+    judged = functools.partial(measure.gate.check, thresholds=measure.gate.load(None), baseline=old)
+    told = ("over the speed limit (av_over_limit_mps)",)
+    assert measure.reported(judged(new)) == told
+    assert measure.reported(judged(old)) == ()
 
 
 def test_the_table_counts_reports_of_each_half_and_false_alarms():
