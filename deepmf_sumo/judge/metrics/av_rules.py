@@ -87,25 +87,28 @@ def _to_stop_mps2(drive: DrivenSteps, approach: StopApproach) -> float:
     speed, left_m = drive.speed_mps, approach.left_m
     hardest = 0.0
     for run in _slices.runs(approach.halts & (left_m > 0) & np.isfinite(left_m)):
-        room = left_m[run.start] - speed[run.start] * _REACTION_S
-        if room > 0 and speed[run.start] ** 2 / (2 * room) <= _COMFORTABLE_MPS2:
+        if _could_stop(speed[run.start], left_m[run.start]):
             needed = speed[run] ** 2 / (2 * np.maximum(left_m[run], _AT_LINE_M))
             hardest = max(hardest, float(needed.max()))
     return hardest
 
 
+def _could_stop(speed_mps: float, left_m: float) -> bool:
+    """Whether braking that is comfortable, begun a second later, stops the AV before the line."""
+    room = left_m - speed_mps * _REACTION_S
+    return bool(0 < room < np.inf and speed_mps**2 / (2 * room) <= _COMFORTABLE_MPS2)
+
+
 @metric("m", better="higher")
 def av_beyond_stop_line(episode: Episode) -> float:
     """Largest distance by which the AV's front is beyond the line of a light, while it stands
-    (below 0.5 m/s) and the light is still yellow or red, as it was when the front crossed the line;
-    over the simulated steps up to the AV's first contact.
+    (below 0.5 m/s) and the light has been yellow or red since the AV could have stopped before it
+    with 3 m/s2 after a second; over the simulated steps up to the AV's first contact.
     """
     drive, worst = DrivenSteps.of(episode), 0.0
     for one in approaches(episode):
-        over = one.left_m <= 0
-        begins = np.flatnonzero(over[1:] & ~over[:-1] & (one.left_m[:-1] < np.inf)) + 1
-        for run in _slices.runs(one.halts):
-            if any(run.start <= at < run.stop for at in begins):
+        for run in _slices.runs(one.halts & np.isfinite(one.left_m)):
+            if _could_stop(drive.speed_mps[run.start], one.left_m[run.start]):
                 beyond = np.where(drive.speed_mps < WAITING_MPS, -one.left_m, 0.0)[run]
                 worst = max(worst, float(beyond[beyond < _ACROSS_LINE_M].max(initial=0.0)))
     return worst

@@ -101,11 +101,12 @@ def test_a_light_asks_from_where_the_av_comes_into_its_lane():
 
 
 def test_standing_beyond_the_line():
-    """It stops 3 m beyond a line that it crossed at red; a line crossed at green does not count."""
-    av = braking(-2.4 - 12 * 1 - 12**2 / 8 + 3, 12, 1.0, 4.0)
-    assert value("av_beyond_stop_line", av, [RED]) == pytest.approx(3.0, abs=0.7)
-    assert value("av_beyond_stop_line", av, [GO] * 40 + [RED]) == 0.0
-    before = braking(-2.4 - 12 - 12**2 / 8 - 2, 12, 1.0, 4.0)
+    """It stops 3 m beyond a red light's line; not so if it could not stop when green ended."""
+    way = 8 + 8**2 / (2 * 2.0)
+    av = braking(-2.4 - way + 3, 8, 1.0, 2.0)
+    assert value("av_beyond_stop_line", av, [RED]) == pytest.approx(3.0, abs=0.5)
+    assert value("av_beyond_stop_line", av, [GO] * 30 + [RED]) == 0.0
+    before = braking(-2.4 - way - 2, 8, 1.0, 2.0)
     assert value("av_beyond_stop_line", before, [RED]) == 0.0
 
 
