@@ -213,7 +213,7 @@ def test_drivers_drive_as_described_step_by_step():
     y = rng.choice([-1, 1], (12, 1)) * np.abs(4.0 - rng.uniform(0, 4, (12, 1)) * seconds)
     path = AvPath.through(np.zeros((1, 2)), np.zeros(1), np.empty((0, 2)))
     approach = Approach.of(path, np.stack([x, y], -1), np.zeros((12, STEPS)), CAR, CAR, DT)
-    driven, start = 13.0 * seconds - 0.3 * seconds**2, rng.integers(0, 30, 12)
+    driven, start = 13.0 * seconds + 0.1 * seconds**2, rng.integers(0, 30, 12)
     found = drive(list(reference_drivers.MODELS.values()), approach, driven, start)
     for one, model in zip(found, reference_drivers.MODELS.values(), strict=True):
         expected = step_by_step(model, approach, driven, start)
