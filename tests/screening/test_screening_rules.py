@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import sumolib
 
-from deepmf_sumo.cli import _screen
+from deepmf_sumo.cli import _moments
 from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.screening import GUIDELINES, right_of_way, screen
 
@@ -59,7 +59,7 @@ def test_lanes_of_both_directions_on_each_other(tmp_path, spread, cases):
     on_purpose = left.not_judged.get("pair of edges that share a lane on purpose (bidi)", 0)
     assert sum(one.cases for one in of(left, "overlap")) == cases - on_purpose
     assert on_purpose == len(overlaps)
-    told = list(_screen._of_the_network(SimpleNamespace(net=file)))
+    told = list(_moments._of_the_network(SimpleNamespace(net=file)))
     assert len(told) == bool(cases), "attack says it, too"
 
 
