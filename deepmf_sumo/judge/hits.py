@@ -59,6 +59,7 @@ class Hit:
         delta_v_mps: severity.
         opponent: "car", "truck or bus" or another class of road users.
         ran_red: whether the opponent passed a red light.
+        stood: whether the opponent stood in the step before the contact.
     """
 
     meeting: Meeting
@@ -75,6 +76,7 @@ class Hit:
     delta_v_mps: float
     opponent: str
     ran_red: bool
+    stood: bool
 
 
 @once
@@ -133,6 +135,7 @@ def described(
         delta_v_mps=contact.delta_v_mps,
         opponent=_CLASSES[class_of(tracks.kinds[meeting.other], tracks.size_m[meeting.other])],
         ran_red=ran_red,
+        stood=bool(tracks.speed_mps[meeting.other, max(contact.step - 1, 0)] <= STANDING_MPS),
     )
 
 

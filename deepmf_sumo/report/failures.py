@@ -153,6 +153,7 @@ def _happened(one: Failure) -> str:
     assert one.conflict is not None
     other, did = one.opponent, _did(one)
     turn = one.conflict.partition(" ")[0]
+    stood = ", which stood" * one.stood
     had = ", which had priority" * (one.priority == "opponent")
     by_av: dict[str, str] = {
         "rear-end": f"A {other} behind ran into the AV, which {did}",
@@ -161,7 +162,7 @@ def _happened(one: Failure) -> str:
         "lane change": f"The AV moved over into the way of a {other} {_beside(one)}",
     }
     by_other: dict[str, str] = {
-        "rear-end": f"The AV {did} and ran into the {other} ahead",
+        "rear-end": f"The AV {did} and ran into the {other} ahead{stood}",
         "turn": f"An oncoming {other} turned {turn} in front of the AV",
         "merging": f"A {other} from {_from(one)} merged into the way of the AV",
         "lane change": f"A {other} {_beside(one)} moved over into the way of the AV",

@@ -63,6 +63,7 @@ class Failure:
     ordinary_mps2: float | None = None
     opponent: str = "car"
     ran_red: bool = False
+    stood: bool = False
     reasons: tuple[str, ...] = ()
     av_error: str = ""
     opponent_error: str = ""

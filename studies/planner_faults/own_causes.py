@@ -46,7 +46,7 @@ def facts(failure: Failure) -> dict[str, Any]:
         "conflict": failure.conflict,
         "side": failure.side,
         "opponent": failure.opponent,
-        "stood": failure.av_error == "struck_standing",
+        "stood": failure.stood,
         "over": "keeps to the limit" in changes,
     }
 

@@ -240,6 +240,7 @@ def test_a_hit_is_described_without_a_result_folder():
     assert (hit.action, hit.strayed, hit.ran_red, hit.opponent) == (
         "held speed", False, False, "car",
     )  # fmt: skip
+    assert hit.stood
     # 0.5 m less than the log after 0.5 s of braking with 4 m/s2
     assert hit.onset == pytest.approx(10 + 5, abs=1)
     assert hit_of(Episode(rollout_of(paths), case)) is None
