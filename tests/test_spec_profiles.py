@@ -86,6 +86,7 @@ def test_a_resolved_spec_reads_back_to_itself(tmp_path, profile, adversary):
         ({"sector": "rear"}, ("clean", "telling", "with_traffic")),  # a ram
         ({"sector": 4}, ("clean", "telling", "with_traffic")),
         ({"goal": "finding"}, FAIR),
+        ({"goal": "avoidable"}, FAIR),
         ({"form": "paper"}, ()),
         ({"rule": "pair"}, FAIR),
         ({"aggressiveness": 0.5}, FAIR),
@@ -97,7 +98,7 @@ def test_what_the_spec_states_wins_over_its_profile(tmp_path, adversary, expecte
     assert found.constraints == expected
     for key, value in adversary.items():
         if key != "constraints":
-            assert getattr(found, key) == value
+            assert getattr(found, key) == ("finding" if value == "avoidable" else value)
 
 
 def test_the_published_form_is_the_profile_paper(tmp_path):
@@ -407,6 +408,8 @@ def test_the_goal_of_older_specs_has_its_constraints(tmp_path, version):
     found = settings_of(spec.load(written(tmp_path, version=version, adversary=choice)))
     assert (found.goal, found.tries) == ("finding", 3)
     assert found.constraints == ("clean", "fair", "no_rear_end")
+    newer = written(tmp_path, profile="any", adversary=choice)
+    assert settings_of(spec.load(newer)) == found.model_copy(update={"rule": "likeliest"})
 
 
 def test_a_plan_says_opponents_and_turns_as_a_spec(tmp_path):

@@ -120,8 +120,6 @@ def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, An
     if not (isinstance(name, str) and name in PROFILES):
         return found  # which is refused where keys are checked
     if applies_to(str(choice.get("name"))):
-        if choice.get("goal") == _EARLIER_GOAL:
-            choice = {**choice, "goal": GOAL}
         if choice.get("form") == "paper":
             name = found["profile"] = "paper"
         found["adversary"] = _profiled(choice, name)
@@ -143,7 +141,7 @@ def _searched(
     That is one with constraints of its own, with a period between plans (the versions as published
     know of no tries), for any hit, or on the rear end, which cannot become a finding.
     """
-    other = {"constraints", "period_s"} & stated.keys() or stated.get("goal", GOAL) != GOAL
+    other = {"constraints", "period_s"} & stated.keys() or settings.get("goal", GOAL) != GOAL
     if profile.tries == 1 or other or stated.get("sector") in _REAR:
         return settings
     return {"goal": GOAL, "tries": profile.tries, **settings}
@@ -166,7 +164,7 @@ def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
             raise wrong(rule, "adversary.form")
         return {**choice, "form": "paper"}
     listed = choice.get("constraints", left_open(profile.constraints, choice))
-    return _ruled({**choice, "constraints": _in_order(listed)}, profile.rule, 3)
+    return _ruled(with_listed({**choice, "constraints": listed}), profile.rule, 3)
 
 
 def _as_list(choice: Mapping[str, Any], switch: str, profile: Profile) -> str:
