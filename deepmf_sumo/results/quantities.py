@@ -279,7 +279,7 @@ _OF_THE_AV: Final = (
              "braking without reason", 1.0, 10.0, limit=3.0),
     _OfTheAv("av_close_following_s", "s", "higher", "av_close_following", "short time gap",
              1.0, 10.0, limit=1.0),
-    _OfTheAv("av_off_lane_m", "m", "higher", "av_off_lane", "out of its lane", 0.5, 10.0,
+    _OfTheAv("av_off_lane_m", "m", "higher", "av_off_lane", "off the road", 0.5, 10.0,
              limit=0.6),
     _OfTheAv("av_frozen_s", "s", "higher", "av_frozen", "frozen command", 0.5, 10.0, limit=0.25),
     _OfTheAv("av_progress_m", "m", "lower", "av_progress", "slow", 10.0, 100.0),

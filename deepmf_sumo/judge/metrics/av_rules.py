@@ -247,31 +247,29 @@ def _gap_s(episode: Episode) -> Floats:
 @metric("m", better="higher")
 def av_off_lane(episode: Episode) -> float:
     """Largest distance by which a side of the AV's box, at its middle, is outside of all lanes for
-    cars that run in its direction (within 60 degrees), over the simulated steps up to its first
-    contact at which it is outside of junctions. A change between such lanes counts nothing.
+    cars, over the simulated steps up to its first contact at which it is outside of junctions. A
+    change between lanes counts nothing, nor does overtaking on a lane of the other direction.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
     names = lane_ids(episode)
     outside = np.array([bool(one) and not road.lanes[one or ""].interpolating for one in names])
     aside = frames.unit(drive.heading_rad + np.pi / 2) * drive.size_m[1] / 2
     sides = np.concatenate([drive.position_m + aside, drive.position_m - aside])
-    beyond = _beyond_m(road, sides, np.tile(drive.heading_rad, 2))
+    beyond = _beyond_m(road, sides)
     known = np.isfinite(beyond) & np.tile(outside, 2)
     if not known.any():
         raise NotMeasurable("the AV drove on no lane that is known")
     return float(beyond[known].max())
 
 
-def _beyond_m(road: RoadMap, points_m: Floats, course_rad: Floats) -> Floats:
-    """(N) how far points lie beside the nearest lane of their course; inf where there is none."""
+def _beyond_m(road: RoadMap, points_m: Floats) -> Floats:
+    """(N) how far points lie beside the nearest lane for cars; inf where there is none."""
     lanes = lanes_for_cars(road)
     feet = lanes.feet(points_m, 2 * lanes.widest_m)
     half = lanes.reach_m[lanes.lane[feet.segment]] - MARGIN_M
-    x, y = lanes.vector_m[feet.segment].T
-    along = np.cos(course_rad[feet.point] - np.arctan2(y, x)) > np.cos(np.pi / 3)
     away = np.maximum(np.hypot(*feet.away_m.T) - half, 0.0)
     found = np.full(len(points_m), np.inf)
-    np.minimum.at(found, feet.point[along], away[along])
+    np.minimum.at(found, feet.point, away)
     return found
 
 
