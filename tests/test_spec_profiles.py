@@ -25,7 +25,7 @@ from tests.support.predictor_doubles import Doubles, view_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
-FAIR = ("clean", "fair", "no_rear_end", "telling", "with_traffic")
+FAIR = ("clean", "fair", "no_rear_end", "with_traffic")
 ON_NETWORK = {"network": str(CONFIG), "start_s": 40.0, "av": {"vehicle": "av"}}
 
 
@@ -83,8 +83,8 @@ def test_a_resolved_spec_reads_back_to_itself(tmp_path, profile, adversary):
         ({"constraints": []}, ()),
         ({"constraints": ["on_road", "clean", "on_road"]}, ("clean", "on_road")),
         ({"sector": "front"}, FAIR),
-        ({"sector": "rear"}, ("clean", "telling", "with_traffic")),  # a ram
-        ({"sector": 4}, ("clean", "telling", "with_traffic")),
+        ({"sector": "rear"}, ("clean", "with_traffic")),  # a ram
+        ({"sector": 4}, ("clean", "with_traffic")),
         ({"goal": "finding"}, FAIR),
         ({"goal": "avoidable"}, FAIR),
         ({"form": "paper"}, ()),
@@ -260,7 +260,7 @@ def test_a_wish_for_the_rear_contradicts_both_spellings(tmp_path, version, adver
 @pytest.mark.parametrize(
     ("keys", "switched", "told"),
     [
-        ({}, "fair: false", "[clean, no_rear_end, telling, with_traffic]"),
+        ({}, "fair: false", "[clean, no_rear_end, with_traffic]"),
         ({"profile": "any"}, "fair: true", "[fair], or profile: fair"),
         ({"profile": "any"}, "lawful: true", "[lawful], or profile: lawful"),
         ({"profile": "any"}, "no_rear_end: false", "[]"),
@@ -574,7 +574,7 @@ def test_the_headline(meant, expected):
 @pytest.mark.parametrize(
     ("profile", "constraints", "expected"),
     [
-        ("fair", FAIR, "fair (clean, fair, no_rear_end, telling, with_traffic)"),
+        ("fair", FAIR, "fair (clean, fair, no_rear_end, with_traffic)"),
         ("fair", (), "fair (no constraints)"),
         ("any", (), "any"),
         ("any", ("on_road",), "any (on_road)"),

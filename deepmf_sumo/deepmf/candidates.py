@@ -349,21 +349,6 @@ def delta_v(
     return change
 
 
-def av_moves(situation: Situation, reactions: Sequence[Forecast], collision_step: Floats) -> Floats:
-    """(N1, N2) fastest the AV is in the last second before a collision, m/s; 0 without contact."""
-    fastest, horizon = np.zeros(collision_step.shape), reactions[0].futures.position_m.shape[1]
-    row, mode = np.nonzero(collision_step < horizon)
-    after = collision_step[row, mode].astype(int)[:, None] - np.arange(_SECOND_STEPS)
-    av = _stacked([reaction.futures.position_m for reaction in reactions])
-    moved = av[row[:, None], mode[:, None], np.maximum(after, 1)]
-    moved = moved - av[row[:, None], mode[:, None], np.maximum(after - 1, 0)]
-    speed = np.where(after >= 1, np.hypot(*np.moveaxis(moved, -1, 0)) / DT_S, 0.0)
-    view = situation.view
-    now = float(view.history.speed_mps[view.history.row(view.av_id), -1])
-    fastest[row, mode] = np.maximum(speed.max(axis=1), np.where(after[:, -1] < 1, now, 0.0))
-    return fastest
-
-
 def pairs(
     situation: Situation,
     own: Candidates,

@@ -18,8 +18,6 @@ from deepmf_sumo.deepmf.candidates import (
     Candidates,
     References,
     against_traffic,
-    av_moves,
-    delta_v,
     leaves_road,
     rear_ends,
 )
@@ -33,7 +31,6 @@ from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.judge.avoidability.av_path import State
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
 from deepmf_sumo.judge.avoidability.grading import Past, avoidable
-from deepmf_sumo.judge.ladder import LEAST_DELTA_V_MPS, WALKING_MPS
 
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
@@ -417,26 +414,6 @@ class NoRearEnd(Constraint):
         return allowed
 
 
-class Telling(Constraint):
-    """The hit says something about the AV: it drives, and is pushed by more than a touch.
-
-    An AV that stands can do nothing, and a touch harms nobody (`judge.ladder`). Where there is
-    nothing better, they are attacks all the same.
-    """
-
-    name = "telling"
-    scope = "preferred"
-
-    def __init__(self, settings: Settings) -> None: ...
-
-    def allowed(
-        self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
-    ) -> Bools:
-        step, sizes = pairs.collision_step, (situation.size_m, situation.av_size_m)
-        pushed = delta_v(own.forecast.futures, reactions, *sizes, step) >= LEAST_DELTA_V_MPS
-        return pushed & (av_moves(situation, reactions, step) >= WALKING_MPS)
-
-
 class Sector(Constraint):
     """The AV is first hit in the wanted sector."""
 
@@ -459,7 +436,7 @@ class Sector(Constraint):
 
 
 CONSTRAINTS: Final[tuple[type[Constraint], ...]] = (
-    Sector, Lawful, Clean, Fair, OnRoad, WithTraffic, NoRearEnd, Telling,
+    Sector, Lawful, Clean, Fair, OnRoad, WithTraffic, NoRearEnd,
 )  # fmt: skip
 """All constraints; their candidates are added in this order."""
 

@@ -43,9 +43,7 @@ class Profile:
 
 
 PROFILES: Final[dict[ProfileName, Profile]] = {
-    "fair": Profile(
-        constraints=("clean", "fair", "no_rear_end", "telling", "with_traffic"), tries=4
-    ),
+    "fair": Profile(constraints=("clean", "fair", "no_rear_end", "with_traffic"), tries=4),
     "any": Profile(),
     "lawful": Profile(constraints=("lawful",)),
     "paper": Profile(form="paper", rule=None, in_turn=False),

@@ -202,7 +202,7 @@ def test_nothing_is_found_by_running_into_an_av_that_stands_or_creeps():
         av = driven(speed, x=-2 - 4 * speed)
         reasons = told(av, MEETS, road=junction(east_yields=True))[1]
         assert ("av_stood" in reasons) == contrived
-    brakes = driven(10, (3, 0), (5, -5), x=-40)  # it moved in the last second
+    brakes = driven(10, (1.85, 0), (5, -5), x=-30.5)  # 1 m/s at the contact, 6 m/s before
     assert "av_stood" not in told(brakes, MEETS, road=junction(east_yields=True))[1]
 
 

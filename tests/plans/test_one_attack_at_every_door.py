@@ -95,5 +95,5 @@ def test_a_running_simulation_is_attacked_as_a_spec_attacks_it(tmp_path):
     result = json.loads(one.with_name("result.json").read_text())
     assert session["profile"] == result["profile"] == "fair"
     assert session["constraints"] == result["constraints"] == [
-        "clean", "fair", "no_rear_end", "telling", "with_traffic",
+        "clean", "fair", "no_rear_end", "with_traffic",
     ]  # fmt: skip
