@@ -107,7 +107,7 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
 
     - It stood or crept during the last second: others drive into it, and it can do nothing.
     - Nobody is hurt.
-    - The opponent rams it from behind, or moves over into its rear from behind: that can be done
+    - The opponent rams it from behind, or moves over or merges into its rear end: that can be done
       anywhere, and the AV hardly sees it.
     - The opponent drives against the traffic, or leaves the road, for more than a moment. That is
       where no lane of its direction is under its middle: whoever cuts a corner within its own half
@@ -140,7 +140,8 @@ def _rams(rollout: Rollout, hit: Hit) -> bool:
         return hit.turned == "AV"
     contact = rollout.first("av_opponent")
     assert contact is not None
-    return hit.conflict == "lane change" and hit.turned == "opponent" and contact.sector in _REAR
+    joins = hit.conflict in {"lane change", "merging"} and hit.turned == "opponent"
+    return joins and contact.sector in _REAR
 
 
 def _astray(episode: Episode) -> Iterator[str]:

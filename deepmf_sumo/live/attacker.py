@@ -36,6 +36,7 @@ from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.spec import Spec, of_document
 from deepmf_sumo.spec.document import Document
 from deepmf_sumo.spec.loading import assign
+from deepmf_sumo.spec.profiles import applies_to
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,8 @@ def spec_of(wish: Wish) -> Spec:
             )
         assign(document, assignment)
     choice = values["adversary"]
-    if isinstance(choice, dict):  # a running simulation cannot be tried again
+    # a running simulation cannot be tried again
+    if isinstance(choice, dict) and applies_to(str(choice.get("name", "deepmf"))):
         choice.setdefault("goal", "hit")
         choice.setdefault("tries", 1)
     spec = of_document(document)

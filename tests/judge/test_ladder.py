@@ -7,6 +7,7 @@ import pytest
 
 from deepmf_sumo.datatypes import Lane, Neighbour, RoadMap, SignalState
 from deepmf_sumo.geometry import boxes
+from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.judge.metrics.findings import finding, rung
@@ -81,14 +82,20 @@ def aside(path, metres, begin, seconds=2.0):
     return moved
 
 
-def episode_of(av, opponent, road=STREET, alone=None, lights=None, delta_v=4.0, others=()):
+def episode_of(
+    av, opponent, road=STREET, alone=None, lights=None, delta_v=4.0, others=(), sector=0
+):
     """The episode up to the first overlap; ``alone``: the opponent without the attack."""
     size = np.array([4.8, 2.0])
     touch = boxes.touching(av[:, :2], av[:, 2], size, opponent[:, :2], opponent[:, 2], size)
     assert touch[11:].any(), "they do not meet"
     step = 11 + int(touch[11:].argmax())
     contact = replace(
-        contact_of(step=step), pose_first=av[step], pose_second=opponent[step], delta_v_mps=delta_v
+        contact_of(step=step),
+        pose_first=av[step],
+        pose_second=opponent[step],
+        delta_v_mps=delta_v,
+        sector=sector,
     )
     paths = {"av": av[: step + 1], "b": opponent[: step + 1]}
     rollout = rollout_of(paths, [*others, contact])
@@ -214,6 +221,23 @@ def test_a_touch_is_no_finding():
 def test_a_car_behind_can_ram_anybody_anywhere():
     behind = driven(10, (8, 2.0), x=-15)
     assert told(AV, behind)[:2] == ("C", ("rammed",))
+
+
+JOINED = road_of(
+    lane("main", (-200, 0), (-10, 0), next=("on",)),
+    lane("ramp", (-200, 3.5), (-10, 3.5), next=("on",)),
+    lane("on", (-10, 0), (200, 0)),
+)
+
+
+@pytest.mark.parametrize(("sector", "contrived"), [(1, False), (2, False), (3, True), (5, True)])
+@pytest.mark.parametrize("road", [STREET, JOINED])
+def test_who_moves_over_or_merges_into_the_rear_of_the_av_rams_it(road, sector, contrived):
+    path = driven(10, x=-38, y=3.5)
+    more = {"alone": path, "road": road, "sector": sector}
+    episode = episode_of(driven(10, x=-36), aside(path, -3.5, 30, 2.5), **more)
+    assert hit_of(episode).conflict == ("merging" if road is JOINED else "lane change")
+    assert ("rammed" in verdict(episode).reasons) == contrived
 
 
 def test_nobody_drives_against_the_traffic_for_more_than_a_moment():
