@@ -4,6 +4,8 @@ from deepmf_sumo.cli import main
 
 from tests.support import gate_doubles
 
+DRIVING = ("planner_hardest_braking", "av_ttc_min", "av_time_gap_min")
+
 
 @pytest.fixture
 def out(tmp_path):
@@ -28,7 +30,7 @@ def test_all_files_are_written(tmp_path, out, capsys):
     shown = capsys.readouterr().out
     assert "5 runs: 5 judged" in shown
     assert "max_av_collision_rate is 0.4 (0.01 to 0.98, 5 runs), allowed at most 0.1" in shown
-    assert check(tmp_path, out, "", "--baseline", base) == 3
+    assert check(tmp_path, out, "baseline: {quantities: [impact_mps]}", "--baseline", base) == 3
     shown = capsys.readouterr().out
     assert "cannot tell: 1 spec can never show a change: at least 5 specs are needed" in shown
 
@@ -38,12 +40,12 @@ def test_enough_specs_against_themselves_pass(tmp_path, capsys):
         runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(specs)]
         return gate_doubles.write_folder(tmp_path / f"{specs}", runs)
 
-    few, enough = of(5), of(19)
-    assert check(tmp_path, few, "", "--baseline", few) == 3
+    few, enough, judged = of(5), of(19), "baseline: {results: X, quantities: [impact_mps]}"
+    assert check(tmp_path, few, judged.replace("X", str(few))) == 3
     shown = capsys.readouterr().out
     assert "+0 (-9.01 to +9.01; 5 pairs)" in shown
     assert "about 19 specs would tell" in shown
-    assert check(tmp_path, enough, "", "--baseline", enough) == 0
+    assert check(tmp_path, enough, judged.replace("X", str(enough))) == 0
     assert "+0 (-2.92 to +2.92; 19 pairs)" in capsys.readouterr().out
 
 
@@ -78,10 +80,12 @@ def test_half_a_folder_is_no_verdict(tmp_path, capsys):
 
 def test_a_regression_names_the_situations_and_needs_no_thresholds(tmp_path, capsys):
     def folder(name, hits):
-        runs = [gate_doubles.result("a", spec=f"spec {n}", hit=n < hits) for n in range(25)]
+        runs = [gate_doubles.result("a", spec=f"spec {n}", hit=n < hits) for n in range(45)]
+        for run in runs:
+            run["metrics"] |= {one: {"value": 2.0} for one in DRIVING}
         return gate_doubles.write_folder(tmp_path / name, runs)
 
-    old, new = folder("old", 0), folder("new", 20)
+    old, new = folder("old", 0), folder("new", 36)
     assert main._run(["check", str(new), "--baseline", str(old)]) == 1
     shown = capsys.readouterr().out
     named = shown.split("most in ")[1]
