@@ -45,7 +45,7 @@ STAGES = ((0.0, 0.0), (0.3, 0.5), (0.6, 1.0))
 """From which share of the training on the attacks have which aggressiveness."""
 PLAIN_SHARE = 0.3
 """Of the episodes of the attacked driver, so that it does not learn to brake for everything."""
-REWARD = {"progress": 0.01, "comfort": 0.0005, "contact": 2.0, "avoidable_only": True}
+REWARD = {"progress": 0.01, "comfort": 0.0005, "contact": 2.0, "findings_only": True}
 
 
 def observed(view: View) -> Floats:
