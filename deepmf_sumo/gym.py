@@ -380,7 +380,8 @@ def _in_one_try(spec: Spec) -> Spec:
     choice = spec.adversary
     if not profiles.applies_to(choice.name):
         return spec
-    once = choice.model_copy(update={"settings": profiles.in_one_try(choice.settings)})
+    settings = profiles.in_one_try(choice.settings)
+    once = type(choice).model_validate({"name": choice.name, **settings})
     return spec.model_copy(update={"adversary": once})
 
 

@@ -4,12 +4,14 @@
   ahead, moved over into a vehicle or left its lane, while the opponent kept the rules as long as
   that could matter.
 - **B**, avoidable: the opponent made an error that drivers make, or nobody did, and a reference
-  driver or a manoeuvre avoids it.
+  driver avoids it. If the AV erred, too, a manoeuvre of the search is enough: without its error
+  there was no hit.
 - **C**, contrived: it says little about the AV, see `_contrived`.
-- **D**, unavoidable.
+- **D**, unavoidable: no reference driver avoids it. The search may, which knows what is to come.
 
 C comes first: an error of the AV in a contrived hit is not a finding. All that a rung is made of is
-driven motion and the map; which method attacked has no influence.
+driven motion and the map; which method attacked has no influence. The rules were compared with what
+two readers said of 62 hits by eye (`studies/notebook/findings.md`).
 """
 
 from collections.abc import Iterator
@@ -21,8 +23,7 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, Ints, Rollout
 from deepmf_sumo.datatypes.signals import FORBIDS
 from deepmf_sumo.geometry import road
-from deepmf_sumo.geometry.slow import WAITING_MPS
-from deepmf_sumo.judge.conflict_types import Meeting
+from deepmf_sumo.judge.conflict_types import ACROSS, Meeting
 from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
@@ -37,13 +38,17 @@ DRIVERS: Final = ("cc", "fsm", "rss", "search")
 
 WALKING_MPS: Final = 1.4
 """An AV that is slower creeps."""
+LEAST_M: Final = 1.0
+"""An AV that moves less in its last second stood, even if it set off or has just stopped."""
 LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
 """Less harms nobody, and often not even the cars."""
 MOMENT_S: Final = 1.0
 """Drivers that cut a corner or drift over the middle are back by then, or have met somebody."""
 LAST_S: Final = 1.0
 AHEAD_S: Final = 3.0
-"""What has stood for this time has been there for long enough, as in `CUT_IN_S` for what drives."""
+"""As in `CUT_IN_S`, what has driven ahead for this time has been there for long enough."""
+STOOD_S, STOOD_MPS = 2.5, 1.0
+"""What was slower for this time stood there to be seen: a driver reacts and stops from 50 km/h."""
 HARDEST_MPS2: Final = 6.0
 """Drivers hardly ever brake harder; a careful one is prepared for it (UN R157)."""
 LIMIT: Final = 1.3
@@ -93,10 +98,10 @@ def verdict(episode: Episode) -> Verdict | None:
         rung, reasons = "C", contrived
     elif av and not opponent:
         rung, reasons = "A", (av,)
-    elif avoided_by:
+    elif judged.avoidable or (av and avoided_by):
         rung, reasons = "B", (opponent or "nobody_erred",)
     else:
-        rung, reasons = "D", ("unavoidable",)
+        rung, reasons = "D", ("only_search" if avoided_by else "unavoidable",)
     return Verdict(
         rung=rung, reasons=reasons, av_error=av, opponent_error=opponent, avoided_by=avoided_by
     )
@@ -118,7 +123,8 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
     - The AV or the opponent had touched another road user before.
     """
     rollout, meeting = episode.rollout, hit.meeting
-    if _speeds(rollout, meeting.av, meeting.step, LAST_S).max() < WALKING_MPS:
+    last = _speeds(rollout, meeting.av, meeting.step, LAST_S)
+    if last.max() < WALKING_MPS or last.mean() * LAST_S < LEAST_M:
         yield "av_stood"
     if hit.delta_v_mps < LEAST_DELTA_V_MPS:
         yield "low_delta_v"
@@ -163,7 +169,7 @@ def _astray(episode: Episode) -> Iterator[str]:
 def _av_error(episode: Episode, hit: Hit) -> str:
     """What the AV did wrong; empty where nothing is known."""
     rollout, meeting = episode.rollout, hit.meeting
-    if _speeds(rollout, meeting.other, meeting.step, AHEAD_S).max() < WAITING_MPS:
+    if _speeds(rollout, meeting.other, meeting.step, STOOD_S).max() < STOOD_MPS:
         return "struck_standing"
     if _ran_light(rollout, meeting):
         return "ran_light"
@@ -173,7 +179,9 @@ def _av_error(episode: Episode, hit: Hit) -> str:
         return "moved_over" if hit.turned == "AV" else ""
     if hit.conflict == "head-on":
         return "left_lane" if meeting.strayed(0) else ""
-    return "took_priority" if hit.priority == "opponent" else ""
+    # who turns across gives way, also to an oncoming vehicle that leaves its lane
+    turns = hit.conflict in ACROSS and hit.turned == "AV" and hit.priority != "AV"
+    return "took_priority" if hit.priority == "opponent" or turns else ""
 
 
 def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:

@@ -23,7 +23,7 @@ MEANINGS: Final[Mapping[Rung, str]] = {
     "B": "the opponent made an error that drivers make, or nobody did, and a driver avoids the hit",
     "C": "it says little: the AV stood or crept, the hit was light, or the opponent drove as no"
     " driver does",
-    "D": "no reference driver and no manoeuvre avoids the hit",
+    "D": "no reference driver avoids the hit",
 }
 DRIVERS: Final[Mapping[str, str]] = {
     "cc": "a careful driver", "fsm": "the fuzzy safety model",

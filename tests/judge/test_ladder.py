@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.datatypes import Lane, Neighbour, RoadMap, SignalState
 from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.hits import hit_of
-from deepmf_sumo.judge.ladder import verdict
+from deepmf_sumo.judge.ladder import _av_error, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.judge.metrics.findings import finding, rung
 
@@ -153,6 +153,23 @@ MEETS = from_south(10, -40)
 AV_MEETS = driven(10, x=-40)
 
 
+def test_what_crawled_for_long_enough_to_be_seen_stood():
+    """The AV reaches it after 6.7 s; it is slower than 1 m/s since 2.4 or 2.7 s before."""
+    for crawls_s, error in ((2.3, ""), (2.6, "struck_standing")):
+        begin_s = 5.7 - crawls_s
+        y = -4 * begin_s - 2.3 - 0.6 * crawls_s
+        slows = driven(4, (begin_s, 0), (1.0, -3.4), x=70, y=y, heading=NORTH)
+        assert told(AV, slows)[2] == error
+
+
+def test_who_turns_across_gives_way_even_to_who_leaves_its_lane():
+    episode = episode_of(AV_MEETS, MEETS, road=junction())
+    hit = replace(hit_of(episode), conflict="left turn across path", strayed=True, priority="")
+    assert _av_error(episode, replace(hit, turned="AV")) == "took_priority"
+    assert _av_error(episode, replace(hit, turned="opponent")) == ""
+    assert _av_error(episode, replace(hit, turned="AV", priority="AV")) == ""
+
+
 def test_who_takes_the_priority_errs():
     """Two roads cross; both arrive at the same time."""
     yields = told(AV_MEETS, MEETS, road=junction(east_yields=True))
@@ -209,6 +226,8 @@ def test_nothing_is_found_by_running_into_an_av_that_stands_or_creeps():
         av = driven(speed, x=-2 - 4 * speed)
         reasons = told(av, MEETS, road=junction(east_yields=True))[1]
         assert ("av_stood" in reasons) == contrived
+    sets_off = driven(0, (3.15, 0), (5, 1.6), x=-3.3)  # 1.4 m/s at the contact
+    assert "av_stood" in told(sets_off, MEETS, road=junction(east_yields=True))[1]
     brakes = driven(10, (1.85, 0), (5, -5), x=-30.5)  # 1 m/s at the contact, 6 m/s before
     assert "av_stood" not in told(brakes, MEETS, road=junction(east_yields=True))[1]
 
@@ -244,7 +263,7 @@ def test_nobody_drives_against_the_traffic_for_more_than_a_moment():
     """An oncoming car comes over the middle: late, it has met the AV after a moment."""
     oncoming, av = driven(10, x=120, y=7, heading=WEST), driven(10, y=3.5)
     late = told(av, aside(oncoming, 3.5, 55, 2.2), alone=oncoming)
-    assert (late[0], late[3]) == ("B", "left_lane")
+    assert late == ("D", ("only_search",), "", "left_lane")
     early = told(av, aside(oncoming, 3.5, 25, 2.2), alone=oncoming)
     assert early[:2] == ("C", ("against_traffic",))
 

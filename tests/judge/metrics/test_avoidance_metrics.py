@@ -83,7 +83,9 @@ def test_what_makes_a_hit_no_finding():
     near, near_case = attack(straight(0, 0, 16), eased(cut_in(4.3, 8)))
     assert measured("avoidable", near, near_case).value == 0.0
     assert measured("avoided_by_search", near, near_case).value == 1.0
-    assert measured("finding", near, near_case).value == 1.0  # steering without delay avoids it
+    assert (
+        measured("finding", near, near_case).value == 0.0
+    )  # steering without delay alone avoids it
 
 
 def test_an_opponent_beyond_the_limits_makes_no_finding():
