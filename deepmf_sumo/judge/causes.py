@@ -46,7 +46,6 @@ from deepmf_sumo.judge.avoidability.encounter import (
 )
 from deepmf_sumo.judge.avoidability.grading import Judgement, evasive_manoeuvres
 from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S, MODELS
-from deepmf_sumo.judge.conflict_types import ACROSS
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
@@ -80,7 +79,7 @@ _OVER_LIMIT: Final = 1.05
 """A speedometer shows no less."""
 _HARDER_MPS2: Final = 0.5
 """Braking that is harder by less is the same."""
-_WAITING: Final = {"merging", "lane change", *ACROSS}
+_WAITING: Final = {"merging", "lane change"}
 
 
 class Tried(NamedTuple):
@@ -262,6 +261,8 @@ def _on(encounter: Encounter, drive: Drive) -> Floats | None:
 
 def _has_to_wait(hit: Hit) -> bool:
     """Whether the other goes first where the two meet."""
+    if hit.av_crosses:
+        return True
     if hit.strayed or hit.conflict in {"rear-end", "head-on"}:
         return False
     return hit.priority == "opponent" or (

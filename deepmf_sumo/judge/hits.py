@@ -78,6 +78,14 @@ class Hit:
     ran_red: bool
     stood: bool
 
+    @property
+    def av_crosses(self) -> bool:
+        """Whether the AV turns across the way of the other, and does not have priority.
+
+        It gives way then, also to an oncoming vehicle that leaves its lane.
+        """
+        return self.conflict in ACROSS and self.turned == "AV" and self.priority != "AV"
+
 
 @once
 def hit_of(episode: Episode) -> Hit | None:

@@ -23,7 +23,7 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, Ints, Rollout
 from deepmf_sumo.datatypes.signals import FORBIDS
 from deepmf_sumo.geometry import road
-from deepmf_sumo.judge.conflict_types import ACROSS, Meeting
+from deepmf_sumo.judge.conflict_types import Meeting
 from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
@@ -179,9 +179,7 @@ def _av_error(episode: Episode, hit: Hit) -> str:
         return "moved_over" if hit.turned == "AV" else ""
     if hit.conflict == "head-on":
         return "left_lane" if meeting.strayed(0) else ""
-    # who turns across gives way, also to an oncoming vehicle that leaves its lane
-    turns = hit.conflict in ACROSS and hit.turned == "AV" and hit.priority != "AV"
-    return "took_priority" if hit.priority == "opponent" or turns else ""
+    return "took_priority" if hit.priority == "opponent" or hit.av_crosses else ""
 
 
 def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:

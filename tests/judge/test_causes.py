@@ -11,6 +11,8 @@ from deepmf_sumo.judge import causes
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.encounter import encounter_of
 from deepmf_sumo.judge.causes import cause_of
+from deepmf_sumo.judge.hits import hit_of
+from deepmf_sumo.judge.ladder import _av_error
 from deepmf_sumo.judge.metrics import Episode
 
 from tests.support.drawn_attacks import NOW, STEPS, attack, cut_in
@@ -148,6 +150,22 @@ def test_who_takes_priority_would_have_had_to_wait():
     assert found.change == "waits for the gap"
     assert found.what == "to wait for the gap"
     assert "waits for the gap" not in cause(av, opponent, road=crossing(gives_way=False)).changes
+
+
+def test_who_turns_across_would_have_had_to_wait_for_who_leaves_its_lane_too():
+    """As the ladder says, whose error it is then."""
+    av, opponent = straight(0, 0, 10), straight(60, 60, 10, heading=-np.pi / 2)
+    episode = Episode(*attack(av, opponent, road=crossing(gives_way=False)))
+    hit = replace(hit_of(episode), conflict="left turn across path", strayed=True, priority="")
+    for turned, error, waits in (("AV", "took_priority", True), ("opponent", "", False)):
+        one = replace(hit, turned=turned)
+        tried = {
+            found.change
+            for found in causes._tried(
+                episode, encounter_of(*attack(av, opponent, road=crossing(gives_way=False))), one
+            )
+        }
+        assert (_av_error(episode, one), "waits for the gap" in tried) == (error, waits)
 
 
 def test_an_av_that_waits_does_not_touch_what_passes():
