@@ -137,7 +137,8 @@ def attack(
         duration_s: of an attack; None means 8 s.
         opponents: ``one``, or one after another ``in_turn``; None means one up to 15 s.
         tries: simulate an attack at most this often, until it finds an error of the AV or a hit
-            that was avoidable; None means 4 times, once for opponents in turn.
+            that was avoidable, of other profiles than ``fair`` any hit; None means 4 times, once of
+            other profiles and for opponents in turn.
         planner: what drives the AV: a name, or a mapping with ``name`` and settings; None means
             ``idm``.
         profile: the kind of attack, see `deepmf_sumo.spec`; None means ``fair``.

@@ -82,7 +82,8 @@ if TYPE_CHECKING:
 @click.option(
     "--tries", type=click.IntRange(1, 1000),
     help="Simulate an attack at most this often, until it finds an error of the AV, or a hit that"
-    " was avoidable; 1 is a quick look.  [default: 4; 1 for opponents in turn]",
+    " was avoidable (with --all-conflicts any hit); 1 is a quick look.  [default: 4; 1 with"
+    " --all-conflicts and for opponents in turn]",
 )  # fmt: skip
 @click.option(
     "--all-conflicts", is_flag=True,
