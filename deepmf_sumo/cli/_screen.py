@@ -410,13 +410,16 @@ def show_coverage(found: Sequence[tuple[Network, Sequence[Cell]]]) -> None:
 
 
 def _counted_on(network: Network) -> str:
-    """The attacks on a network, and the runs that do not count."""
+    """The attacks on a network, the runs that do not count, and hits judged without a ladder."""
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.results.findings import earlier_note
 
     left = "".join(
         f"; not counted: {counted(count, 'run')} {why}" for why, count in network.left_out.items()
     )
-    return f"{network.name}: {counted(len(network.attacks), 'attack')}{left}"
+    hits = [one.worth for one in network.attacks if one.hit]
+    old = earlier_note(sum(one is not None and one.rung is None for one in hits), len(hits))
+    return f"{network.name}: {counted(len(network.attacks), 'attack')}{left}{'; ' * bool(old)}{old}"
 
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:

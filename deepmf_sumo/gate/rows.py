@@ -14,7 +14,7 @@ from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.gate.setups import moment_of, setup_of
 from deepmf_sumo.results import reader, sessions, stored
-from deepmf_sumo.results.quantities import COMPARABLE, judged
+from deepmf_sumo.results.quantities import COMPARABLE, judged, without_ladder
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.tasks import slug
 
@@ -69,6 +69,7 @@ class Results:
     Attributes:
         attacks: by the digest in `Row.attack`, the setup, see `setups.setup_of`.
         switched_off: sentences on times in which a live session could not attack.
+        earlier: a sentence on hits that an earlier version judged without a ladder; else empty.
     """
 
     source: Path
@@ -76,6 +77,7 @@ class Results:
     rows: dict[str, Row]
     attacks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     switched_off: tuple[str, ...] = ()
+    earlier: str = ""
 
 
 def read(path: Path) -> Results:
@@ -119,6 +121,7 @@ def _of_folder(out: Path) -> Results:
     return Results(
         source=out, version=str(manifest.get("version")), rows=rows, attacks=attacks,
         switched_off=sessions.switched_off(out),
+        earlier=without_ladder(one for one in planned.values() if one is not None),
     )  # fmt: skip
 
 

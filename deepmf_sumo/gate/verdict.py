@@ -155,7 +155,7 @@ def check(
         baseline=place,
         comparisons=comparisons,
         same_attacks=same_attacks,
-        notes=[*found.switched_off, *notes],
+        notes=[*found.switched_off, *filter(None, [found.earlier]), *notes],
         apart=apart,
     )
 

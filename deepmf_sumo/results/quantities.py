@@ -5,7 +5,7 @@ here: a new one is one entry. A rate is the mean of zeros and ones, so that mean
 differences treat all quantities alike.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import Any, Final, Literal, NamedTuple
@@ -169,6 +169,12 @@ def values(result: Result) -> dict[str, float | None]:
 def worth(result: Result) -> findings.Worth | None:
     """What the hit of a run is worth; None without a hit, or where that is not known."""
     return findings.worth(values(result)) if hit(result) else None
+
+
+def without_ladder(results: Iterable[Result]) -> str:
+    """A sentence on the hits of versions without a ladder; empty if there are none."""
+    hits = [values(one) for one in results if one["status"] == "ok" and hit(one)]
+    return findings.earlier_note(sum(map(findings.earlier, hits)), len(hits))
 
 
 def _contacts(result: Result) -> list[ContactValues]:

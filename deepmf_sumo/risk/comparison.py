@@ -18,7 +18,7 @@ from deepmf_sumo.gate.rows import Results, Row
 from deepmf_sumo.gate.setups import WHOM, differing
 from deepmf_sumo.results import sessions
 from deepmf_sumo.results.matching import Matched, answer, match
-from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity, no_quantity
+from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity, no_quantity, without_ladder
 from deepmf_sumo.results.reader import before_note
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.stored import inputs_of, result_folders
@@ -64,8 +64,7 @@ def notes(
         )
     found = [one for side in sides for one in side.values() if one["network"] is not None]
     before = [one for one in found if one["opponent"] and one.get("counterfactual") is None]
-    if said := before_note(len(before), len(found)):
-        yield said
+    yield from filter(None, (before_note(len(before), len(found)), without_ladder(found)))
     if planners_differ and (networks_differ or changed):
         yield (
             "planner and network are both different: a difference may be of either; compare sides"

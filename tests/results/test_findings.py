@@ -1,7 +1,12 @@
 """What a hit is worth, and how it is said; results of versions without a ladder."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from deepmf_sumo import gate
+from deepmf_sumo.cli import _screen
+from deepmf_sumo.gate import thresholds
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.results import findings, junit, quantities
 from deepmf_sumo.results.findings import DRIVERS, Worth
@@ -46,6 +51,29 @@ def test_a_valid_hit_of_an_earlier_version_counts_as_a_finding(valid, word):
     assert findings.worth({"avoidable": 1.0}) is None
     assert "1 of 2 hits" in findings.earlier_note(1, 2)
     assert findings.earlier_note(0, 2) == ""
+
+
+def test_a_gate_and_a_risk_map_say_which_hits_an_earlier_version_judged(tmp_path):
+    def hit(scene, **metrics):
+        return gate_doubles.result(scene, hit=True, metrics=valued(metrics))
+
+    note = findings.earlier_note(1, 2)
+    results = [
+        hit("old", valid_collision=1.0), hit("new", finding=1.0, rung=0.0),
+        gate_doubles.result("miss", metrics=valued({"valid_collision": 0.0})),
+        gate_doubles.failed("broken"),
+    ]  # fmt: skip
+    assert quantities.without_ladder(results) == note
+    out = gate_doubles.write_folder(tmp_path / "mixed", results)
+    assert gate.check(out, thresholds.load(None)).notes == [note]
+    out = gate_doubles.write_folder(tmp_path / "today", results[1:])
+    assert gate.check(out, thresholds.load(None)).notes == []
+    judged = [Worth(rung=None, finding=True), worth_doubles.worth("A"), None]
+    attacks = [SimpleNamespace(hit=one is not None, worth=one) for one in judged]
+    network = SimpleNamespace(name="grid", attacks=attacks, left_out={})
+    assert _screen._counted_on(network) == f"grid: 3 attacks; {note}"
+    network.attacks = attacks[1:]
+    assert _screen._counted_on(network) == "grid: 2 attacks"
 
 
 def test_hits_are_counted_by_rung_and_every_driver_is_named():
