@@ -368,19 +368,28 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
 def _weights(
     results: Mapping[str, Result | None], moments: Mapping[str, Mapping[str, str]]
 ) -> dict[str, float]:
-    """Of the runs whose moments were drawn by what others found, see `statistics.drawn`."""
+    """Of the runs whose moments were drawn by what others found, see `statistics.drawn`.
+
+    Runs that failed were drawn, too: what those after them stand for depends on their place.
+    """
     draws: dict[tuple[str, int, int], list[tuple[int, float, str]]] = defaultdict(list)
+    counted = set()
     for run_id, result in results.items():
         row = moments.get(run_id, {})
-        if result is not None and result["status"] == "ok" and row.get("probability"):
+        if result is not None and row.get("probability"):
             one = int(row["draw"]), float(row["probability"]), run_id
             draws[result["spec"], result["seed"], int(row["pool"])].append(one)
+            if result["status"] == "ok":
+                counted.add(run_id)
     weights: dict[str, float] = {}
     for (*_, pool), found in draws.items():
         group = sorted(found)
-        stands_for = statistics.drawn([chance for _, chance, _ in group], pool)
-        mean = sum(stands_for) / len(group)
-        weights |= {one[2]: each / mean for one, each in zip(group, stands_for, strict=True)}
+        every = statistics.drawn([chance for _, chance, _ in group], pool)
+        stands_for = {one[2]: each for one, each in zip(group, every, strict=True)}
+        known = {run_id: each for run_id, each in stands_for.items() if run_id in counted}
+        weights |= {
+            run_id: each * len(known) / sum(known.values()) for run_id, each in known.items()
+        }
     return weights
 
 

@@ -164,3 +164,20 @@ def test_risk_counts_an_attack_for_the_moments_that_it_was_drawn_from():
     assert weights.keys() == {"a", "b", "c"}
     assert sum(weights.values()) == pytest.approx(3.0)
     assert weights["b"] > 1.5 * weights["c"] > weights["a"]
+
+
+def test_a_draw_whose_run_failed_does_not_change_what_the_others_stand_for():
+    """Chances that are equal for all that are left: each stands for as many as the others."""
+    chances = {"a": 1.0, "gone": 1 / 8, "b": 1 / 7, "c": 1 / 6}
+    moments = {
+        run_id: {"draw": str(number), "probability": str(chance), "pool": "9"}
+        for number, (run_id, chance) in enumerate(chances.items(), 1)
+    }
+    results = {one: {"status": "ok", "spec": "s", "seed": 1} for one in chances}
+    whole = attacks._weights(results, moments)
+    results["gone"] = {**results["gone"], "status": "failed"}
+    weights = attacks._weights(results, moments)
+    assert weights.keys() == {"a", "b", "c"}
+    assert weights["b"] == pytest.approx(weights["c"])
+    assert weights["b"] / weights["a"] == pytest.approx(whole["b"] / whole["a"])
+    assert sum(weights.values()) == pytest.approx(3.0)
