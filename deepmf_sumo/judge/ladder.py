@@ -169,7 +169,7 @@ def _astray(episode: Episode) -> Iterator[str]:
 def _av_error(episode: Episode, hit: Hit) -> str:
     """What the AV did wrong; empty where nothing is known."""
     rollout, meeting = episode.rollout, hit.meeting
-    if _speeds(rollout, meeting.other, meeting.step, STOOD_S).max() < STOOD_MPS:
+    if _stood(rollout, meeting):
         return "struck_standing"
     if _ran_light(rollout, meeting):
         return "ran_light"
@@ -180,6 +180,14 @@ def _av_error(episode: Episode, hit: Hit) -> str:
     if hit.conflict == "head-on":
         return "left_lane" if meeting.strayed(0) else ""
     return "took_priority" if hit.priority == "opponent" or hit.av_crosses else ""
+
+
+def _stood(rollout: Rollout, meeting: Meeting) -> bool:
+    """Whether the opponent stood there to be seen: not if it came into the simulation only then."""
+    before = slice(max(0, meeting.step - round(STOOD_S / rollout.dt_s)), meeting.step)
+    there = bool(rollout.tracks.valid[meeting.other, before].all())
+    speed = _speeds(rollout, meeting.other, meeting.step, STOOD_S)
+    return there and bool(speed.max() < STOOD_MPS)
 
 
 def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:

@@ -162,6 +162,17 @@ def test_what_crawled_for_long_enough_to_be_seen_stood():
         assert told(AV, slows)[2] == error
 
 
+def test_what_was_not_there_for_long_enough_was_not_seen_to_stand():
+    episode = episode_of(AV, driven(0, x=70, heading=NORTH))
+    contact = hit_of(episode).meeting.step
+    for there_s, error in ((2.4, ""), (2.5, "struck_standing")):
+        tracks = episode.rollout.tracks
+        valid = tracks.valid.copy()
+        valid[tracks.row("b"), : contact - round(10 * there_s)] = False
+        rollout = replace(episode.rollout, tracks=replace(tracks, valid=valid))
+        assert verdict(Episode(rollout, episode.case)).av_error == error
+
+
 def test_who_turns_across_gives_way_even_to_who_leaves_its_lane():
     episode = episode_of(AV_MEETS, MEETS, road=junction())
     hit = replace(hit_of(episode), conflict="left turn across path", strayed=True, priority="")
