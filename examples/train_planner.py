@@ -286,13 +286,13 @@ def test(out: Path, jobs: int) -> int:
 
 
 def counted(folder: Path) -> str:
-    """In how many runs the AV touched a vehicle, how many hits were avoidable, how far it drove."""
+    """In how many runs the AV touched a vehicle, how many findings there were, how far it drove."""
     runs = Results.of(folder).done
     contacts = [[one["kind"] for one in run.result["contacts"]] for run in runs]
     touched = sum(any(kind.startswith("av_") for kind in kinds) for kinds in contacts)
-    avoidable = sum(run.metric("avoidable") == 1 for run in runs)
+    findings = sum(run.finding for run in runs)
     driven_m = np.mean([run.metric("av_progress") for run in runs])
-    return f"{touched} of {len(runs)} touched a vehicle, {avoidable} avoidable; {driven_m:.0f} m"
+    return f"{touched} of {len(runs)} touched a vehicle, {findings} findings; {driven_m:.0f} m"
 
 
 def run(*arguments: object) -> int:

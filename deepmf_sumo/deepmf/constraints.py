@@ -314,7 +314,7 @@ def _state(view: View, agent_id: AgentId) -> State:
 class Clean(Constraint):
     """Up to its collision the candidate does not leave the road, nor touch another agent.
 
-    Agents that it touches immediately do not count.
+    Agents that it touches at the first step do not count.
     """
 
     name = "clean"

@@ -17,7 +17,7 @@ HEADINGS: Final = (
 _CONTRIVED: Final = {
     "av_stood": "the AV stood or crept",
     "low_delta_v": "delta-v was below 5 km/h",
-    "rammed": "the {other} rammed the AV from behind",
+    "rammed": "the {other} drove into the AV's rear end",
     "against_traffic": "the {other} drove against the traffic",
     "off_road": "the {other} left the road",
     "infeasible": "no {other} moves like that",

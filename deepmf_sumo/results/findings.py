@@ -20,7 +20,8 @@ NAMES: Final[Mapping[Rung, str]] = {
 }  # fmt: skip
 MEANINGS: Final[Mapping[Rung, str]] = {
     "A": "the AV made the error, and the opponent kept the rules",
-    "B": "the opponent made an error that drivers make, or nobody did, and a driver avoids the hit",
+    "B": "the opponent made an error that drivers make, both erred, or nobody did, and a driver"
+    " avoids the hit",
     "C": "it says little: the AV stood or crept, the hit was light, or the opponent drove as no"
     " driver does",
     "D": "no reference driver avoids the hit",
