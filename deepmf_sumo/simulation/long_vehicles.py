@@ -179,7 +179,8 @@ class LongVehicles:
                 start = f"{edge}_{number}"
                 for link in self._api.lane.getLinks(start):
                     chain, following = [start], str(link[4] or link[0])
-                    while following != wanted and following.startswith(":"):
+                    # walking areas lead to each other: whoever comes back leads nowhere
+                    while following.startswith(":") and following not in {wanted, *chain}:
                         chain.append(following)
                         onward = self._api.lane.getLinks(following)
                         following = str(onward[0][4] or onward[0][0]) if onward else ""

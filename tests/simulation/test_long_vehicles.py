@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import libsumo
 import numpy as np
@@ -184,6 +185,15 @@ def test_types_of_an_included_file_say_it_too(folder, started):
     while not api.vehicle.getIDList():
         api.simulationStep()
     assert set(reader.states()) == {"t", "t part 2", "t part 3"}
+
+
+@pytest.mark.timeout(10)
+def test_lanes_inside_a_junction_that_lead_to_each_other_are_no_way():
+    """As the walking areas and crossings of a junction do."""
+    links = {"a_0": ":j_w0_0", ":j_w0_0": ":j_c0_0", ":j_c0_0": ":j_w0_0"}
+    lane = SimpleNamespace(getLinks=lambda one: ((links[one], 0, 0, 0, ""),))
+    api = SimpleNamespace(lane=lane, edge=SimpleNamespace(getLaneNumber=lambda _: 1))
+    assert long_vehicles.LongVehicles(api)._search("a", "b_0") == ()
 
 
 def test_an_unknown_train_is_as_long_as_its_carriages():
