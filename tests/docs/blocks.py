@@ -2,7 +2,7 @@
 
 The script runs in a folder that ``deepmf-sumo init`` made, block after block, so that later blocks
 see the files of earlier ones. ``--write`` puts what the last command of each block prints into the
-block ``text`` that follows it.
+block ``text`` that follows it, and into those of other pages that are said to be the same.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from deepmf_sumo.cli.init import lay_out
 
-from tests.docs.pages import ROOT, Page
+from tests.docs.pages import DOCS, ROOT, Page
 
 BUILDS = ("pip ", "make ", "git ", "uv ", "docker ")
 """Commands that install or build: in README they are left out, which `Ran.left_out` counts."""
@@ -112,6 +112,22 @@ def written(page: Page, ran: Ran, folder: Path) -> str:
     return text
 
 
+def first_output(page: Page) -> str:
+    """The first block ``text`` of a page that is its own."""
+    own = (one for one in page.blocks if one.language == "text" and not one.mark)
+    return next(own).code
+
+
+def copied(page: Page) -> str:
+    """The text of the page with the outputs of other pages that it shows."""
+    text = page.text
+    for block in reversed(page.blocks):
+        if block.mark.startswith("as in "):
+            new = first_output(Page(DOCS / block.mark.removeprefix("as in ")))
+            text = text[: block.start] + new + text[block.end :]
+    return text
+
+
 def main() -> int:
     """Run pages, print how they ended."""
     parser = argparse.ArgumentParser()
@@ -133,6 +149,9 @@ def main() -> int:
             shutil.copytree(folder, options.keep)
         shutil.rmtree(folder)
         worst = max(worst, ran.returncode)
+    if options.write:
+        for path in DOCS.rglob("*.md"):
+            path.write_text(copied(Page(path)), "utf-8")
     return worst
 
 

@@ -5,6 +5,7 @@ A comment in the line before a block says how it is run::
     <!-- not run: REASON -->     it is not
     <!-- exit code 1 -->         its last command ends with this code
     <!-- needs MODULE -->        it is run where this Python module is installed
+    <!-- as in PAGE -->          it is the first output of another page of docs/
 
 A block with a title is a file of that name. All other blocks of commands and of Python are run.
 """
@@ -22,7 +23,7 @@ SHELL = {"sh", "bash", "console", "shell"}
 PROGRAMS = ("deepmf-sumo ", "make ", "pip ", "git ", "uv ", "docker ", "python ")
 """What a command begins with, in blocks that name no language."""
 _BLOCK = re.compile(
-    r"(?:^<!-- (?P<mark>not run: [^\n]+|exit code \d+|needs \w+) -->\n)?"
+    r"(?:^<!-- (?P<mark>not run: [^\n]+|as in \S+|exit code \d+|needs \w+) -->\n)?"
     r"^```(?P<language>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<code>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )

@@ -131,3 +131,10 @@ def test_every_plugin_and_metric_module_is_in_a_generated_page():
         assert f"<!-- generate: {place} -->" in text
     assert ":module: deepmf_sumo.cli.main" in text
     assert (ROOT / "docs" / "_generate.py").is_file()
+
+
+def test_an_output_that_two_pages_show_is_the_same():
+    shown = [page for page in SITE if any(one.mark.startswith("as in") for one in page.blocks)]
+    assert len(shown) > 3
+    other = [page.name for page in shown if blocks.copied(page) != page.text]
+    assert other == [], "python -m tests.docs.blocks --write PAGE"
