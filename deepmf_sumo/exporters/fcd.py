@@ -87,7 +87,7 @@ def _same(file: Path, other: Path) -> None:
 
 
 def _rails(net: Path) -> list[Floats]:
-    """(P, 2) each: lanes of trams and trains, which are no lanes of the road."""
+    """(P, 2) each: centre lines of the lanes of trams and trains."""
     lanes = (lane for edge in read_once(net).edges.values() for lane in edge.lanes)
     return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, _RAIL))]
 

@@ -70,7 +70,7 @@ class Limits(Strict):
     def _names_of_today(cls, values: Any) -> Any:
         old = next((name for name in _NOW if isinstance(values, dict) and name in values), None)
         if old:
-            rule = f"'{old}' is no bound any more; write '{_NOW[old]}'"
+            rule = f"'{old}' was replaced; write '{_NOW[old]}'"
             raise PydanticCustomError("unknown", "{rule}", {"rule": rule, "key": old})
         return values
 
@@ -231,7 +231,7 @@ RULES_KEPT: Final = "rules_broken"
 
 
 def _rules(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
-    """Limits of quantities. Those that nobody set are one judgement together, if all hold.
+    """Limits of quantities. The defaults are one judgement together, if all hold.
 
     Runs of earlier versions have no values, and without one nothing is said.
     """

@@ -14,7 +14,7 @@ changes have an order, and the first that avoids the hit is its cause:
    which is the drivers' own.
 3. More than drivers do: a reaction sooner than that, braking up to 8 m/s2 (grip), and 2 s of
    distance where the AV kept 0.9 s or more, as most drivers do.
-4. It drives 20 % slower. A speed below the limit is no error, and a later AV also avoids by chance
+4. It drives 20 % slower. Driving at the limit is not an error, and a later AV also avoids by chance
    what crosses its path.
 5. Another driver takes over at the onset: a reference driver sees the danger, or a manoeuvre that
    starts without delay evades it.

@@ -3,7 +3,7 @@
 - **A**, the AV's error: it took the other's priority, ran a light, struck what stood or drove
   ahead, moved over into a vehicle or left its lane, while the opponent kept the rules as long as
   that could matter.
-- **B**, avoidable: the opponent made an error that drivers make, or nobody did, and a reference
+- **B**, avoidable: the opponent made an error that drivers make, or neither erred, and a reference
   driver avoids it. If the AV erred, too, a manoeuvre of the search is enough: without its error
   there was no hit.
 - **C**, contrived: it says little about the AV, see `_contrived`.
@@ -23,6 +23,7 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, Ints, Rollout
 from deepmf_sumo.datatypes.signals import FORBIDS
 from deepmf_sumo.geometry import road
+from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.conflict_types import Meeting
 from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
@@ -41,12 +42,10 @@ WALKING_MPS: Final = 1.4
 LEAST_M: Final = 1.0
 """An AV that moves less in its last second stood, even if it set off or has just stopped."""
 LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
-"""Less harms nobody, and often not even the cars."""
+"""A smaller change of velocity injures no occupant, and often damages no car."""
 MOMENT_S: Final = 1.0
 """Drivers that cut a corner or drift over the middle are back by then, or have met somebody."""
 LAST_S: Final = 1.0
-AHEAD_S: Final = 3.0
-"""As in `CUT_IN_S`, what has driven ahead for this time has been there for long enough."""
 STOOD_S, STOOD_MPS = 2.5, 1.0
 """What was slower for this time stood there to be seen: a driver reacts and stops from 50 km/h."""
 HARDEST_MPS2: Final = 6.0
@@ -99,7 +98,7 @@ def verdict(episode: Episode) -> Verdict | None:
     elif av and not opponent:
         rung, reasons = "A", (av,)
     elif judged.avoidable or (av and avoided_by):
-        rung, reasons = "B", (opponent or "nobody_erred",)
+        rung, reasons = "B", (opponent or "neither_erred",)
     else:
         rung, reasons = "D", ("only_search" if avoided_by else "unavoidable",)
     return Verdict(
@@ -115,7 +114,7 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
     - The opponent rams it from behind, or moves over or merges into its rear end: that can be done
       anywhere, and the AV hardly sees it.
     - The opponent drives against the traffic, or leaves the road, for more than a moment. That is
-      where no lane of its direction is under its middle: whoever cuts a corner within its own half
+      where no lane of its direction is under its middle: a car that cuts a corner within its half
       is on such a lane, and in junctions lanes lie in most directions. Overtaking on the oncoming
       lane counts too: a map does not tell where it is allowed, and an opponent that may use that
       lane can meet an AV head-on anywhere.
@@ -151,7 +150,7 @@ def _rams(rollout: Rollout, hit: Hit) -> bool:
 
 
 def _astray(episode: Episode) -> Iterator[str]:
-    """Where the opponent drove for more than a moment, although nobody drives there."""
+    """Where the opponent drove for more than a moment, although vehicles do not drive there."""
     rollout = episode.rollout
     try:
         driving = _slices.driving(rollout)
@@ -227,7 +226,7 @@ def _rear_end(rollout: Rollout, hit: Hit) -> str:
 
 def _braking_mps2(rollout: Rollout, meeting: Meeting) -> float:
     """The opponent's hardest braking in the last seconds, mean over 0.5 s."""
-    speed = _speeds(rollout, meeting.other, meeting.step, AHEAD_S)
+    speed = _speeds(rollout, meeting.other, meeting.step, CUT_IN_S)
     apart = min(round(0.5 / rollout.dt_s), len(speed) - 1)
     if not apart:
         return 0.0
@@ -238,7 +237,7 @@ def _over_limit(episode: Episode, meeting: Meeting) -> bool:
     """Whether the opponent drove far above the limit in the last seconds."""
     rollout = episode.rollout
     tracks, row = rollout.tracks, meeting.other
-    steps = _last(rollout, row, meeting.step, AHEAD_S)
+    steps = _last(rollout, row, meeting.step, CUT_IN_S)
     limit = road.limit_mps(
         episode.case.road,
         tracks.position_m[row, steps],

@@ -20,7 +20,7 @@ NAMES: Final[Mapping[Rung, str]] = {
 }  # fmt: skip
 MEANINGS: Final[Mapping[Rung, str]] = {
     "A": "the AV made the error, and the opponent kept the rules",
-    "B": "the opponent made an error that drivers make, both erred, or nobody did, and a driver"
+    "B": "the opponent made an error that drivers make, both erred, or neither, and a driver"
     " avoids the hit",
     "C": "it says little: the AV stood or crept, the hit was light, or the opponent drove as no"
     " driver does",
@@ -31,6 +31,13 @@ DRIVERS: Final[Mapping[str, str]] = {
     "rss": "a driver that brakes as RSS requires", "search": "braking or steering immediately",
 }  # fmt: skip
 """What avoids a hit, by its name in metrics (``avoided_by_cc``) and verdicts."""
+
+
+def cause_key(
+    av_error: str, opponent_error: str, conflict: str | None, change: str
+) -> tuple[str, ...]:
+    """What findings of one cause have in common: who erred how, the conflict, the change."""
+    return av_error, opponent_error, conflict or "", change
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -135,7 +135,8 @@ def _order(group: Group) -> tuple[Any, ...]:
 def _key(failure: Failure) -> Hashable:
     """Findings of one cause: who erred how, the kind of conflict, the smallest change."""
     if failure.change:
-        return failure.av_error, failure.opponent_error, failure.conflict, failure.change
+        errors = failure.av_error, failure.opponent_error
+        return findings.cause_key(*errors, failure.conflict, failure.change)
     return (
         failure.kind,
         _NUMBER.sub("#", failure.reason),  # the same error at another step

@@ -31,7 +31,7 @@ _NEGLIGIBLE: Final = 0.05
 
 _NEGLIGIBLE_PER_S: Final = 0.005
 
-_AT_ONCE_S: Final = 1.0
+_SHORTEST_S: Final = 1.0
 """A time to the contact below a driver's reaction time is as bad as this one."""
 
 RATE: Final = 0.2
@@ -218,7 +218,7 @@ def _inverse(name: str) -> Value:
 
     def value(result: Result) -> float | None:
         found = least(result)
-        return None if found is None else 1.0 / max(found, _AT_ONCE_S)
+        return None if found is None else 1.0 / max(found, _SHORTEST_S)
 
     return value
 
@@ -422,8 +422,8 @@ QUANTITIES: Final = (
     *(
         Quantity(
             name=name, unit="1/s", better="higher", over="judged", in_table=False, rule_out=0.1,
-            largest=1.0 / _AT_ONCE_S, value=_inverse(of), metric=of,
-            definition=f"{_BOTH}, of 1 over the value, of at least {_AT_ONCE_S:g} s",
+            largest=1.0 / _SHORTEST_S, value=_inverse(of), metric=of,
+            definition=f"{_BOTH}, of 1 over the value, of at least {_SHORTEST_S:g} s",
             failure=failure,
         )
         for name, (of, failure) in _INVERSE.items()

@@ -23,7 +23,7 @@ from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
 from deepmf_sumo.judge.ladder import FINDINGS
 from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import findings, statistics, stored
-from deepmf_sumo.results.findings import Worth
+from deepmf_sumo.results.findings import Worth, cause_key
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import planned
 from deepmf_sumo.results.result import Result, attacked
@@ -225,7 +225,7 @@ def _cause(result: Result, kind: ConflictType | None) -> tuple[str, ...] | None:
     verdict, cause = result.get("finding"), result.get("cause")
     if not verdict or not cause or verdict["rung"] not in FINDINGS:
         return None
-    return verdict["av_error"], verdict["opponent_error"], kind or "", cause["change"]
+    return cause_key(verdict["av_error"], verdict["opponent_error"], kind, cause["change"])
 
 
 def _first_hit(result: Result) -> int | None:

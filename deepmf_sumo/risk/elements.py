@@ -114,7 +114,7 @@ def junction(places: Places, name: str) -> str:
 
 @lru_cache(maxsize=8)
 def over_junctions(places: Places) -> frozenset[str]:
-    """Movements over a junction: not those over a joint of two roads, where nobody turns."""
+    """Movements over a junction: without joints of two roads, where vehicles do not turn."""
     movements = places.movements.values()
     return frozenset(one.id for one in movements if junction(places, one.junction) != BETWEEN)
 

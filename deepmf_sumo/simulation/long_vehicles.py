@@ -179,7 +179,7 @@ class LongVehicles:
                 start = f"{edge}_{number}"
                 for link in self._api.lane.getLinks(start):
                     chain, following = [start], str(link[4] or link[0])
-                    # walking areas lead to each other: whoever comes back leads nowhere
+                    # walking areas lead to each other: a chain that returns to itself ends
                     while following.startswith(":") and following not in {wanted, *chain}:
                         chain.append(following)
                         onward = self._api.lane.getLinks(following)

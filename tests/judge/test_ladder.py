@@ -187,7 +187,7 @@ def test_who_takes_the_priority_errs():
     assert yields == ("A", ("took_priority",), "took_priority", "")
     has = told(AV_MEETS, MEETS, road=junction(north_yields=True))
     assert has == ("B", ("took_priority",), "", "took_priority")
-    assert told(AV_MEETS, MEETS, road=junction()) == ("B", ("nobody_erred",), "", "")
+    assert told(AV_MEETS, MEETS, road=junction()) == ("B", ("neither_erred",), "", "")
 
 
 GO, STOP = SignalState.GO, SignalState.STOP

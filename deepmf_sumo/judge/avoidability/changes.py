@@ -16,7 +16,7 @@ from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S, JERK_MPS3, CompetentCareful
 
 BRAKES_MPS2: Final = 1.0
-"""Less deceleration is no reaction: it is that of a foot off the accelerator, or of a bend."""
+"""A smaller deceleration is not a reaction: it comes from a lifted foot or a bend."""
 COMFORTABLE_MPS2: Final = 3.5
 """A stop that a driver plans needs no more than this."""
 _WINDOW: Final = 3

@@ -15,7 +15,7 @@ function showFailures() {
     ...groups
       .slice(0, shown)
       .flatMap((group, number) => [
-        ...(number === apart ? [make("h3", {}, "Apart: contrived and unavoidable hits")] : []),
+        ...(number === apart ? [make("h3", {}, "Apart: hits that are no findings")] : []),
         failureCard(group),
       ]),
     ...(groups.length ? [] : [make("p", {}, `No failure in ${counted(runs.all.length, "run")}.`)]),
