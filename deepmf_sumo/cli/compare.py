@@ -33,6 +33,7 @@ def command(
     A and B are folders of attack or run, or contain such folders, e.g. one for each seed. Runs of
     the same moment and seed are pairs.
     """
+    from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.risk import comparison as files
     from deepmf_sumo.risk import comparison
@@ -40,7 +41,7 @@ def command(
     compared = comparison.compare(a, b, quantities or comparison.COMPARED, confidence)
     names = str(a), str(b)
     if form == "table":
-        screen.show_comparison(compared, names)
+        _risk_screen.show_comparison(compared, names)
     elif form == "md":
         click.echo(files.markdown(compared, names), nl=False)
     else:

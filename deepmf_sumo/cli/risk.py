@@ -34,13 +34,14 @@ def command(
     --gis as GeoJSON or GeoPackage. OUT may contain result folders, e.g. one for each seed.
     """
     from deepmf_sumo import risk
+    from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import risk as files
 
     place = out or folders[0] / "risk"
     title = ", ".join(folder.resolve().name for folder in folders)
     written = files.write(place, risk.read(folders), title, forms)
-    screen.show_risk(written, top)
+    _risk_screen.show_risk(written, top)
     screen.tell_switched_off(folders, err=False)
     if show:
         click.launch(str(written[0].folder / files.PAGE))

@@ -109,12 +109,13 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
 
 def _show_coverage(folders: tuple[Path, ...], form: str) -> None:
     from deepmf_sumo import risk
+    from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import evidence
 
     found = [(one, risk.coverage(one)) for one in risk.read(folders)]
     if form == "table":
-        screen.show_coverage(found)
+        _risk_screen.show_coverage(found)
     else:
         rows = [{"network": net.name} | evidence.values(one) for net, all_ in found for one in all_]
         screen.emit(form, rows)

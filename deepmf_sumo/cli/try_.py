@@ -113,13 +113,13 @@ def _attack(
 
 
 def _compare(out: Path) -> None:
-    from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.report.risk import comparison as files
     from deepmf_sumo.risk import comparison
 
     before, after = (out / side for side in SIDES)
     compared = comparison.compare(before, after, changed_on_purpose=True)
     names = str(before), str(after)
-    screen.show_comparison(compared, names)
+    _risk_screen.show_comparison(compared, names)
     files.write(out / "compared", compared, names)
     click.echo(f"{out}/compared/{files.TEXT}")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from deepmf_sumo import gate
-from deepmf_sumo.cli import _screen
+from deepmf_sumo.cli import _risk_screen
 from deepmf_sumo.gate import thresholds
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.results import findings, junit, quantities
@@ -71,9 +71,9 @@ def test_a_gate_and_a_risk_map_say_which_hits_an_earlier_version_judged(tmp_path
     judged = [Worth(rung=None, finding=True), worth_doubles.worth("A"), None]
     attacks = [SimpleNamespace(hit=one is not None, worth=one) for one in judged]
     network = SimpleNamespace(name="grid", attacks=attacks, left_out={})
-    assert _screen._counted_on(network) == f"grid: 3 attacks; {note}"
+    assert _risk_screen._counted_on(network) == f"grid: 3 attacks; {note}"
     network.attacks = attacks[1:]
-    assert _screen._counted_on(network) == "grid: 2 attacks"
+    assert _risk_screen._counted_on(network) == "grid: 2 attacks"
 
 
 def test_hits_are_counted_by_rung_and_every_driver_is_named():
