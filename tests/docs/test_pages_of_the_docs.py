@@ -133,6 +133,13 @@ def test_every_plugin_and_metric_module_is_in_a_generated_page():
     assert (ROOT / "docs" / "_generate.py").is_file()
 
 
+def test_an_output_of_another_page_is_copied(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- as in howto/screen.md -->\n```text\nold\n```\nmore\n")
+    expected = blocks.first_output(Page(DOCS / "howto" / "screen.md"))
+    assert blocks.copied(Page(page)).splitlines()[2:-2] == expected.splitlines()
+
+
 def test_an_output_that_two_pages_show_is_the_same():
     shown = [page for page in SITE if any(one.mark.startswith("as in") for one in page.blocks)]
     assert len(shown) > 3

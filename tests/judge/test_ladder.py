@@ -139,6 +139,12 @@ def test_drivers_hardly_brake_harder_than_6_mps2():
     assert hard == ("B", ("braked_hard",), "struck_ahead", "braked_hard")
 
 
+def test_a_manoeuvre_is_enough_where_both_erred():
+    """At 14 m no reference driver can stop in time; without the AV's small gap it would."""
+    found = verdict(episode_of(AV, braking_leader(7.5, 14), alone=driven(10, x=14)))
+    assert (found.rung, found.av_error, found.avoided_by) == ("B", "struck_ahead", ("search",))
+
+
 def test_an_av_that_drives_into_what_stands_errs():
     """Whatever stands there: the other stands across the lane."""
     ahead = driven(0, x=70, heading=NORTH)
@@ -237,7 +243,7 @@ def test_nothing_is_found_by_running_into_an_av_that_stands_or_creeps():
         av = driven(speed, x=-2 - 4 * speed)
         reasons = told(av, MEETS, road=junction(east_yields=True))[1]
         assert ("av_stood" in reasons) == contrived
-    sets_off = driven(0, (3.15, 0), (5, 1.6), x=-3.3)  # 1.4 m/s at the contact
+    sets_off = driven(0, (2.85, 0), (5, 2.2), x=-4.2)  # 1.65 m/s at the contact, after 0.7 m
     assert "av_stood" in told(sets_off, MEETS, road=junction(east_yields=True))[1]
     brakes = driven(10, (1.85, 0), (5, -5), x=-30.5)  # 1 m/s at the contact, 6 m/s before
     assert "av_stood" not in told(brakes, MEETS, road=junction(east_yields=True))[1]

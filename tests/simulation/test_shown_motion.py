@@ -141,6 +141,23 @@ def test_all_else_is_shown_as_sumo_has_it(road, motion, x, left):
     assert road.drive(motion, "ab_1", x + 1, left=left).y_m == 3.2 + left
 
 
+def test_a_box_that_sumo_turns_in_a_step_is_not_spread(road, motion):
+    """Its bumpers move to the side, and its middle goes where it looks on average."""
+    ahead, left = 2.5 * np.cos(0.7), 2.5 * np.sin(0.7)
+    for x in (6.5, 7.5):
+        road.drive(motion, "ab_0", x + ahead, left=left, heading=0.7)
+    y = np.sin(0.35)
+    shown = road.drive(motion, "ab_0", 7.5 + np.cos(0.35) + 2.5, left=y)
+    assert (shown.y_m, shown.heading_rad) == pytest.approx((y, 0.0))
+
+
+def test_a_lane_shorter_than_the_vehicle_says_nothing_of_its_direction(road, motion):
+    road.lane.getShape = lambda lane: ((0.0, 0.0), (2.0, 2.0) if lane == "kink" else (9.0, 9.0))
+    pose = Pose(x_m=0.0, y_m=0.0, heading_rad=0.1, speed_mps=10.0)
+    assert motion._direction_rad("kink", pose) == 0.1
+    assert motion._direction_rad("long", pose) == pytest.approx(np.pi / 4)
+
+
 def test_after_a_restart_nothing_is_spread(road, motion):
     road.drive(motion, "ab_0", 9.0)
     motion.restart()
