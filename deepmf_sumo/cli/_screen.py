@@ -23,7 +23,6 @@ from deepmf_sumo import tables
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.ablation.table import Row as VariantRow
     from deepmf_sumo.gate.verdict import Verdict
     from deepmf_sumo.live.attacker import Attached
     from deepmf_sumo.report.comparison import Line, SideBySide
@@ -494,18 +493,3 @@ def _study_cells(row: MethodRow, more: Iterable[str]) -> list[str]:
     hits = f"{row['hits']}/{row['attacked']}"
     numbers = [f"{float(row[name]):.2f}" if row[name] else "-" for name in more]
     return [row["planner"], row["method"], hits, rate, *numbers]
-
-
-def show_ablation(notes: Sequence[str], rows: Sequence[VariantRow], out: Path) -> None:
-    """The table as in ``ablation.md``."""
-    from deepmf_sumo.ablation.table import cells, headings
-
-    console = wide(240)
-    for note in notes:
-        console.print(escape(note), soft_wrap=True)
-    headed = headings([one.planner for one in rows[0].attacks])
-    grid = plain_grid(headed[:2], headed[2:])
-    for row in rows:
-        grid.add_row(*map(escape, cells(row)))
-    console.print(grid)
-    console.print(escape(f"{out}/ablation.csv, {out}/ablation.md"), soft_wrap=True)

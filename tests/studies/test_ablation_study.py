@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo import ablation
-from deepmf_sumo.ablation import study
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.training.evaluation import Evaluation
+from studies import ablation
+from studies.ablation import study
 
 PLAN = """version: 1
 data: [train]

@@ -1,4 +1,4 @@
-"""``ablate PLAN``: what to train, to measure and to vary, in strict YAML."""
+"""What to train, to measure and to vary, in strict YAML."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -3,9 +3,9 @@
 import pytest
 import yaml
 
-from deepmf_sumo import ablation
 from deepmf_sumo.errors import SpecError
 from deepmf_sumo.predictors.config import LIGHT
+from studies import ablation
 
 PLAN = """version: 1
 data: [train]

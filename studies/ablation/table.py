@@ -12,14 +12,15 @@ from statistics import fmean, median
 from typing import Any, Final
 
 from deepmf_sumo import files, tables
-from deepmf_sumo.ablation.plan import Plan
 from deepmf_sumo.predictors.weights import NETWORKS, Network
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import unit
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.statistics import Interval
 from deepmf_sumo.training.evaluation import Evaluation, Figure
+from studies.ablation.plan import Plan
 
+READABLE: Final = "ablation.md"
 _AT_8_S: Final = 8.0
 _FIGURES: Final[dict[str, tuple[str, str, tuple[Any, ...]]]] = {
     **{
@@ -188,7 +189,7 @@ def write(folder: Path, notes: Sequence[str], rows: Sequence[Row]) -> None:
     lines = tables.to_markdown(headings(planners), map(cells, rows))
     text = "\n\n".join(["# Ablation", *notes, "\n".join(lines)]) + "\n"
     with files.writing(folder):
-        files.write(folder / "ablation.md", text)
+        files.write(folder / READABLE, text)
         table = tables.to_csv(map(_record, rows), cell=tables.exact)
         files.write(folder / "ablation.csv", table)
 

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Final, Literal
 
 from deepmf_sumo import files
-from deepmf_sumo.ablation.plan import BASE, Plan, Variant
-from deepmf_sumo.ablation.table import Row, row
 from deepmf_sumo.predictors import weights
 from deepmf_sumo.predictors.weights import NETWORKS, Network
 from deepmf_sumo.results.result import Result
@@ -25,6 +23,8 @@ from deepmf_sumo.training.command import train_each
 from deepmf_sumo.training.evaluation import Evaluation
 from deepmf_sumo.training.run import Training
 from deepmf_sumo.training.samples import feature_cache
+from studies.ablation.plan import BASE, Plan, Variant
+from studies.ablation.table import Row, row
 
 _OWN: Final[tuple[Network, ...]] = ("marginal", "conditional")
 """Networks trained for other sizes; the opponent network is always the base's."""

@@ -5,10 +5,10 @@ import itertools
 
 import pytest
 
-from deepmf_sumo import ablation
-from deepmf_sumo.ablation import table
 from deepmf_sumo.training.evaluation import Evaluation
 from deepmf_sumo.training.evaluation.table import Figure, Key
+from studies import ablation
+from studies.ablation import table
 
 CARDS = {
     "opponent": {"weights": 1000, "hours": 0.5},
@@ -90,7 +90,7 @@ def test_the_table_shows_what_was_not_measured(row, tmp_path):
     ablation.write(tmp_path, ["What it is of."], [row, row])
     lines = (tmp_path / "ablation.md").read_text(encoding="utf-8").splitlines()
     assert lines[2] == "What it is of."
-    assert [one.strip() for one in lines[4].strip("|").split("|")] == ablation.headings(
+    assert [one.strip() for one in lines[4].strip("|").split("|")] == table.headings(
         ["idm", "replay"]
     )
     assert lines[6] == lines[7]
