@@ -53,7 +53,7 @@ def test_run_writes_what_the_command_writes(tmp_path):
     assert [run.status for run in found.runs] == ["ok", "ok"]
     assert len(found.frame()) == 2
     arguments = [str(SCENARIO), "--set", "adversary=none", "--seeds", "1-2", "--no-pictures"]
-    assert main._run(["run", *arguments, "--out", str(tmp_path / "b")]) == 0
+    assert main.run(["run", *arguments, "--out", str(tmp_path / "b")]) == 0
     assert differences(tmp_path / "a", tmp_path / "b") == []
     with pytest.raises(OutputError, match="--overwrite"):
         deepmf_sumo.run(SCENARIO, tmp_path / "a", sets=["adversary=none"])
@@ -64,7 +64,7 @@ def test_run_takes_a_plan(tiny, tmp_path):
     found = deepmf_sumo.run(plan, tmp_path / "a", resume=True)
     assert len(found.runs) == 8
     command = ["run", str(plan), "--no-figures", "--out", str(tmp_path / "b")]
-    assert main._run(command) == 0
+    assert main.run(command) == 0
     assert differences(tmp_path / "a", tmp_path / "b") == []
     with pytest.raises(UsageError, match="A plan is run by itself"):
         deepmf_sumo.run([plan, SCENARIO], tmp_path / "c")
@@ -95,7 +95,7 @@ def test_attack_writes_what_the_command_writes(tiny, tmp_path):
     assert [run.status for run in found.runs] == ["ok", "ok"]
     arguments = ["attack", str(config), "-n", "2", "--no-risk", "--no-pictures"]
     arguments += ["--set", sets[0], "--seed", "3", "--out", str(tmp_path / "b")]
-    assert main._run(arguments) == 0
+    assert main.run(arguments) == 0
     assert differences(tmp_path / "a", tmp_path / "b") == []
     moments = [(tmp_path / name / "moments.csv").read_bytes() for name in "ab"]
     assert moments[0] == moments[1]
@@ -125,6 +125,6 @@ def test_an_attack_without_moments_has_no_runs(tiny, tmp_path):
 
 def test_read_scenes_reads_what_run_wrote(tmp_path):
     arguments = [str(SCENARIO), "--set", "adversary=none", "--scenes", "--no-pictures"]
-    assert main._run(["run", *arguments, "--out", str(tmp_path)]) == 0
+    assert main.run(["run", *arguments, "--out", str(tmp_path)]) == 0
     [scene] = deepmf_sumo.read_scenes(tmp_path)
     assert scene.tracks.position_m.shape[1] == 91

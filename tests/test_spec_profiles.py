@@ -308,7 +308,7 @@ def of_attack(*arguments, monkeypatch, tmp_path):
         raise UsageError("seen")
 
     monkeypatch.setattr(plans, "run_specs", seen)
-    assert main._run(["attack", *map(str, arguments), "--out", str(tmp_path / "out")]) == 2
+    assert main.run(["attack", *map(str, arguments), "--out", str(tmp_path / "out")]) == 2
     return found
 
 
@@ -463,7 +463,7 @@ def test_a_saved_spec_is_the_attack(tmp_path, monkeypatch, case):
     arguments = [CONFIG, *SAVED[case]]
     [attacked] = of_attack(*arguments, monkeypatch=monkeypatch, tmp_path=tmp_path)
     file = tmp_path / "specs" / "saved.yaml"
-    assert main._run(["attack", *map(str, arguments), "--save-spec", str(file)]) == 0
+    assert main.run(["attack", *map(str, arguments), "--save-spec", str(file)]) == 0
     monkeypatch.chdir("/")
     saved = spec.load(file)
     assert saved == attacked
@@ -518,7 +518,7 @@ def test_a_program_does_not_prefer_two_things():
 def test_a_wrong_attack_is_not_saved(tmp_path, capsys):
     file = tmp_path / "saved.yaml"
     arguments = ["--set", "adversary.constraints=[fare]", "--save-spec", str(file)]
-    assert main._run(["attack", str(CONFIG), *arguments]) == 2
+    assert main.run(["attack", str(CONFIG), *arguments]) == 2
     assert "Did you mean 'fair'" in capsys.readouterr().err
     assert not file.exists()
 
@@ -533,7 +533,7 @@ def test_a_wrong_attack_is_not_saved(tmp_path, capsys):
 )
 def test_what_contradicts_all_conflicts(tmp_path, capsys, sets, told):
     out = ["--out", str(tmp_path / "out")]
-    assert main._run(["attack", str(CONFIG), "--all-conflicts", "--set", sets, *out]) == 2
+    assert main.run(["attack", str(CONFIG), "--all-conflicts", "--set", sets, *out]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

@@ -74,7 +74,7 @@ def test_init_and_run_of_the_wheel_write_the_results_of_the_checkout(command, em
     more = ("--no-pictures", "--set", "duration_s=2.0", "--out")
     command("run", "start/scenarios/cut_in.yaml", *more, "results")
     own = str(tmp_path / "own")
-    assert main._run(["run", str(ROOT / "scenarios" / "cut_in.yaml"), *more, own]) == 0
+    assert main.run(["run", str(ROOT / "scenarios" / "cut_in.yaml"), *more, own]) == 0
     (ours,) = pd.read_csv(empty / "results" / "runs.csv").to_dict("records")
     (theirs,) = pd.read_csv(tmp_path / "own" / "runs.csv").to_dict("records")
     assert ours["status"] == "ok"

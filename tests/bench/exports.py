@@ -56,7 +56,7 @@ def main() -> None:
 
 def call(*arguments: object) -> None:
     """One command of `deepmf-sumo`; failed runs and expectations are not the matter here."""
-    code = program._run([str(one) for one in arguments])
+    code = program.run([str(one) for one in arguments])
     if code not in {0, 1, 3}:
         raise SystemExit(f"deepmf-sumo {' '.join(map(str, arguments))} ended with {code}")
 

@@ -76,7 +76,7 @@ def simulation(tiny, port, monkeypatch):
 
 
 def attach(port, out, *more):
-    return main._run(["attach", "--port", str(port), "--out", str(out), *map(str, more)])
+    return main.run(["attach", "--port", str(port), "--out", str(out), *map(str, more)])
 
 
 def test_steps_with_the_script_and_leaves_it_alone(simulation, port, tmp_path, capsys):

@@ -21,7 +21,7 @@ from tests.support import crossing_network, tiny_network
 
 def attack(tiny, out, *more):
     first = ["attack", tiny / "tiny.sumocfg", "--out", out, "--no-pictures"]
-    return main._run([str(one) for one in [*first, "--set", "adversary=none", *more]])
+    return main.run([str(one) for one in [*first, "--set", "adversary=none", *more]])
 
 
 def test_attacks_moments_of_its_own_choice_and_keeps_them(tiny, tmp_path, capsys):
@@ -266,13 +266,13 @@ def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys
     out = tmp_path / "out"
     asked = ["--prefer", "encounters", "--moments", 1, "--duration", 4, "--no-pictures"]
     command = ["attack", config, *asked, "--no-risk", "--set", "adversary=none", "--out", out]
-    assert main._run([str(one) for one in command]) == 0
+    assert main.run([str(one) for one in command]) == 0
     assert "1 moment, 1 of them before an encounter; chosen from" in capsys.readouterr().err
     with (out / "moments.csv").open() as table:
         (moment,) = csv.DictReader(table)
     assert moment["av"] in {"over1", "up1"}
     assert float(moment["encounter_s"]) < 2.0
-    assert main._run(["attack", str(config), "--prefer", "crashes"]) == 2
+    assert main.run(["attack", str(config), "--prefer", "crashes"]) == 2
     assert "'crashes' is not one of 'both', 'spread', 'encounters'" in capsys.readouterr().err
 
 

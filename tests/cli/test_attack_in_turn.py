@@ -32,7 +32,7 @@ def test_turns_have_a_table(tiny, tmp_path):
     out = tmp_path / "out"
     asked = ["--opponents", "in_turn", "--duration", "1", "--moments", "1", "--no-pictures"]
     command = ["attack", str(tiny / "tiny.sumocfg"), "--out", str(out), *asked]
-    assert main._run([*command, "--set", "adversary=none"]) == 0
+    assert main.run([*command, "--set", "adversary=none"]) == 0
     with (out / "runs.csv").open() as table:
         (row,) = csv.DictReader(table)
     assert (row["turns"], row["turn_hits"]) == ("0", "0")
@@ -42,5 +42,5 @@ def test_turns_have_a_table(tiny, tmp_path):
 def test_a_search_for_one_attack_takes_no_turns(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     asked = ["--set", "adversary=bbo", "--opponents", "in_turn", "--duration", "20"]
-    assert main._run(["attack", str(tiny / "tiny.sumocfg"), "--out", str(out), *asked]) == 2
+    assert main.run(["attack", str(tiny / "tiny.sumocfg"), "--out", str(out), *asked]) == 2
     assert "bbo looks for one attack" in capsys.readouterr().err

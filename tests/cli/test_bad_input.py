@@ -84,7 +84,7 @@ def test_damaged_records_are_rows_and_the_others_run(recordings, tmp_path, capsy
         "planner: replay\nadversary: none\n"
     )
     out = tmp_path / "out"
-    assert main._run(["run", str(spec), "--out", str(out), "--no-pictures"]) == 3
+    assert main.run(["run", str(spec), "--out", str(out), "--no-pictures"]) == 3
     assert "Traceback" not in "".join(capsys.readouterr())
     found = rows(out)
     assert {name for name, row in found.items() if row["status"] == "ok"} == {
@@ -110,11 +110,11 @@ def test_scenes_convert_and_run_agree_on_what_is_no_recording(recordings, tmp_pa
     (tmp_path / "nil.tfrecord").touch()
     for name, why in (("empty", "There is no scene in"), ("nil.tfrecord", "contains no scene")):
         for more in (["scenes"], ["convert", "--out", str(tmp_path / "nets")]):
-            assert main._run([*more, str(tmp_path / name)]) == 3
+            assert main.run([*more, str(tmp_path / name)]) == 3
             said = " ".join("".join(capsys.readouterr()).split())
             assert why in said
             assert str(tmp_path / name) in said
-    assert main._run(["scenes", str(recordings / "f.txt")]) == 3
+    assert main.run(["scenes", str(recordings / "f.txt")]) == 3
     assert "f.txt has an unknown format" in capsys.readouterr().err
 
 
@@ -124,7 +124,7 @@ def test_a_batch_of_which_nothing_can_be_read_is_no_success(recordings, tmp_path
         f"version: 1\nname: x\nsource: {{recording: {recordings / 'c.tfrecord'}}}\n"
         "planner: replay\nadversary: none\n"
     )
-    assert main._run(["run", str(spec), "--out", str(tmp_path / "out"), "--no-pictures"]) == 3
+    assert main.run(["run", str(spec), "--out", str(tmp_path / "out"), "--no-pictures"]) == 3
 
 
 def test_configurations_that_do_not_load(tiny, tmp_path, capsys):
@@ -152,7 +152,7 @@ def test_configurations_that_do_not_load(tiny, tmp_path, capsys):
         specs.append(tiny_network.spec(tiny, name, source=source))
     out = tmp_path / "out"
     command = ["run", *map(str, specs), "--out", str(out), "--no-pictures"]
-    assert main._run(command) == 3
+    assert main.run(command) == 3
     assert "Traceback" not in "".join(capsys.readouterr())
     found = rows(out)
     assert found["tiny"]["status"] == "ok"
@@ -175,7 +175,7 @@ def test_where_nothing_can_be_written(tiny, monkeypatch, capsys, command):
     tiny_network.spec(tiny, "good")
     (tiny / "file").write_text("mine")
     monkeypatch.chdir(tiny)
-    assert main._run(command) == 2
+    assert main.run(command) == 2
     shown = capsys.readouterr().err
     assert "file/out" in shown or "--every" in shown
     assert "Traceback" not in shown
@@ -188,7 +188,7 @@ def test_a_trajectory_lies_beside_its_spec(tiny, tmp_path, monkeypatch):
     adversary = "{name: trajectory, agent: leader, file: path.csv}"
     spec = tiny_network.spec(tiny, "path", adversary=adversary)
     monkeypatch.chdir(tmp_path)
-    assert main._run(["run", str(spec), "--out", "out", "--no-pictures"]) == 0
+    assert main.run(["run", str(spec), "--out", "out", "--no-pictures"]) == 0
 
 
 @pytest.mark.skipif(

@@ -16,7 +16,7 @@ def out(tmp_path):
 def check(tmp_path, out, text, *more):
     file = tmp_path / "t.yaml"
     file.write_text(f"version: 1\n{text}\n")
-    return main._run(["check", str(out), "-t", str(file), *map(str, more)])
+    return main.run(["check", str(out), "-t", str(file), *map(str, more)])
 
 
 def test_all_files_are_written(tmp_path, out, capsys):
@@ -86,15 +86,15 @@ def test_a_regression_names_the_situations_and_needs_no_thresholds(tmp_path, cap
         return gate_doubles.write_folder(tmp_path / name, runs)
 
     old, new = folder("old", 0), folder("new", 36)
-    assert main._run(["check", str(new), "--baseline", str(old)]) == 1
+    assert main.run(["check", str(new), "--baseline", str(old)]) == 1
     shown = capsys.readouterr().out
     named = shown.split("most in ")[1]
     assert all(f"'spec {n}' (+" in named for n in range(5))  # the first five, all alike
     assert "spec 7" not in named
-    assert main._run(["check", str(new), "--baseline", str(new)]) == 0
+    assert main.run(["check", str(new), "--baseline", str(new)]) == 0
     assert "most in" not in capsys.readouterr().out
 
 
 def test_nothing_to_judge_by_is_an_error(out, capsys):
-    assert main._run(["check", str(out)]) == 2
+    assert main.run(["check", str(out)]) == 2
     assert "--thresholds or --baseline" in capsys.readouterr().err

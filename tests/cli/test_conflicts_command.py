@@ -21,7 +21,7 @@ FOUR_WAY = ROUNDABOUT.parents[1] / "four_way" / "four_way.sumocfg"
 
 
 def run(*arguments):
-    return main._run(["conflicts", *map(str, arguments)])
+    return main.run(["conflicts", *map(str, arguments)])
 
 
 def refused(capsys, *arguments, code=2):

@@ -157,9 +157,9 @@ def test_the_command_goes_on_after_a_broken_line(monkeypatch, capsys):
     for name in ("libsumo", "netconvert", "sumo_gui", "networks", "libraries"):
         monkeypatch.setattr(doctor, name, lambda: fine)
     monkeypatch.setattr(doctor, "weights_of_set", lambda name: fine)
-    assert main._run(["doctor"]) == 0
+    assert main.run(["doctor"]) == 0
     monkeypatch.setattr(doctor, "networks", lambda: 1 / 0)
-    assert main._run(["doctor"]) == 1
+    assert main.run(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "BAD  networks       ZeroDivisionError: division by zero" in lines
     assert lines[-1].split()[1] == "cache"

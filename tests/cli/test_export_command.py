@@ -16,7 +16,7 @@ from tests.support.result_folders import Folder
 
 
 def call(*arguments):
-    return main._run([str(one) for one in arguments])
+    return main.run([str(one) for one in arguments])
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from tests.support.risk_doubles import Attacks, eastward
 
 def told(capsys, *arguments, code=0):
     """What a command prints; nothing else may be on standard output."""
-    assert main._run([str(one) for one in arguments]) == code
+    assert main.run([str(one) for one in arguments]) == code
     return capsys.readouterr().out
 
 

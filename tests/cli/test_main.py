@@ -34,7 +34,7 @@ def test_help_fits_a_terminal_of_80_columns(capsys):
     """Each command is one line that is not cut off, a sentence that begins with a verb."""
     context = click.Context(main.commands)
     for arguments, group in (([], main.commands), (["data"], data.command)):
-        assert main._run([*arguments, "--help"]) == 0
+        assert main.run([*arguments, "--help"]) == 0
         shown = capsys.readouterr().out
         assert max(map(len, shown.splitlines())) <= 80
         for name in group.list_commands(context):
@@ -59,19 +59,19 @@ def test_every_option_is_explained_by_a_sentence():
 
 @pytest.mark.parametrize("old", main.OLD_NAMES)
 def test_old_names_work_and_say_the_new_one(capsys, old):
-    assert main._run([old, "--help"]) == 0
+    assert main.run([old, "--help"]) == 0
     shown = capsys.readouterr()
     [line] = shown.err.splitlines()
     assert line.startswith(f"deepmf-sumo: `{old}` is now `deepmf-sumo {main.OLD_NAMES[old]}`")
     assert f"Usage: deepmf-sumo {old} " in shown.out
-    main._run(["--help"])
+    main.run(["--help"])
     assert f"  {old} " not in capsys.readouterr().out
 
 
 def test_a_mistyped_command_gets_a_suggestion(capsys):
-    assert main._run(["atack", "my.sumocfg"]) == 2
+    assert main.run(["atack", "my.sumocfg"]) == 2
     assert "No such command 'atack'. Did you mean 'attack'?" in capsys.readouterr().err
-    assert main._run(["data", "lst"]) == 2
+    assert main.run(["data", "lst"]) == 2
     assert "Did you mean 'list'?" in capsys.readouterr().err
 
 
@@ -83,7 +83,7 @@ def test_debug_may_be_anywhere(monkeypatch, capsys, arguments):
         raise ReaderError(f"broken {rest}")
 
     monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
-    assert main._run(arguments) == 3
+    assert main.run(arguments) == 3
     shown = capsys.readouterr().err
     assert "Traceback" in shown
     assert "--debug" not in shown.splitlines()[-1]
@@ -99,7 +99,7 @@ def test_every_command_explains_itself():
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from deepmf_sumo.cli import main; main._run(['--help'])\n"
+        "import sys; from deepmf_sumo.cli import main; main.run(['--help'])\n"
         "heavy = 'numpy torch libsumo traci matplotlib pandas pydantic shapely sumolib'\n"
         "print([name for name in heavy.split() if name in sys.modules], file=sys.stderr)"
     )
@@ -129,7 +129,7 @@ def test_errors_are_a_line_and_a_code(monkeypatch, capsys, error, code, text):
         raise error
 
     monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
-    assert main._run(["run"]) == code
+    assert main.run(["run"]) == code
     captured = capsys.readouterr().err
     assert text in captured
     assert "Traceback" not in captured
@@ -141,7 +141,7 @@ def test_debug_shows_where(monkeypatch, capsys):
         raise ReaderError("broken")
 
     monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
-    assert main._run(["--debug", "run"]) == 3
+    assert main.run(["--debug", "run"]) == 3
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -152,12 +152,12 @@ def test_exit_code_of_a_command_is_passed_on(monkeypatch):
         ctx.exit(1)
 
     monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
-    assert main._run(["run"]) == 1
+    assert main.run(["run"]) == 1
 
 
 @pytest.mark.parametrize("arguments", [["nonsense"], ["run"], ["run", "--jobs", "0", "x.yaml"]])
 def test_wrong_command_lines(arguments, capsys):
-    assert main._run(arguments) == 2
+    assert main.run(arguments) == 2
     assert "Traceback" not in capsys.readouterr().err
 
 

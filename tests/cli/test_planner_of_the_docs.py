@@ -22,7 +22,7 @@ def attack(tiny, tmp_path, monkeypatch):
     def call(planner, *more):
         fixed = ["--av", "leader", "--at", "2", "--duration", "1", "--no-pictures", "--no-risk"]
         first = ["attack", str(tiny / "tiny.sumocfg"), "--set", "adversary=none", "--out", "out"]
-        return main._run([*first, *fixed, "--planner", planner, *more])
+        return main.run([*first, *fixed, "--planner", planner, *more])
 
     return call
 

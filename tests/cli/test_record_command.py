@@ -30,9 +30,9 @@ def test_kinds_are_those_of_the_generator():
 def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path, capsys):
     one, two = tmp_path / "one", tmp_path / "two"
     command = ["data", "record", *GENERATE, "--networks", "2", "--seed", "3"]
-    assert main._run([*command, "--out", str(one)]) == 0
+    assert main.run([*command, "--out", str(one)]) == 0
     assert "6 scenes of 2 networks" in capsys.readouterr().out
-    assert main._run([*command, "--out", str(two), "--jobs", "2"]) == 0
+    assert main.run([*command, "--out", str(two), "--jobs", "2"]) == 0
     files = contents(one)
     assert len(files) == 6
     assert contents(two) == files
@@ -44,9 +44,9 @@ def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path
     for file in lost.iterdir():
         file.unlink()
     lost.rmdir()
-    assert main._run([*command, "--out", str(two)]) == 0
+    assert main.run([*command, "--out", str(two)]) == 0
     assert contents(two) == files
-    assert main._run([*command, "--every", "20", "--out", str(two)]) == 2
+    assert main.run([*command, "--every", "20", "--out", str(two)]) == 2
     assert "another command" in capsys.readouterr().err
     assert contents(two) == files
 
@@ -82,7 +82,7 @@ def test_a_network_that_fails_is_skipped_counted_and_named(tmp_path, monkeypatch
         "--out",
         str(tmp_path / "o"),
     ]
-    assert main._run(command) == 0
+    assert main.run(command) == 0
     shown = capsys.readouterr().out
     assert "junctions-3-001: 0 scenes (netgenerate failed: Error: no)" in shown
     assert "3 scenes of 1 networks" in shown
@@ -94,7 +94,7 @@ def test_a_configuration_that_gives_nothing_is_an_error(tmp_path, monkeypatch, c
     monkeypatch.setattr(workers, "run", here)
     broken = tmp_path / "broken.sumocfg"
     broken.write_text("<configuration><input/></configuration>")
-    assert main._run(["data", "record", str(broken), "--out", str(tmp_path / "out")]) == 3
+    assert main.run(["data", "record", str(broken), "--out", str(tmp_path / "out")]) == 3
     shown = capsys.readouterr()
     assert "broken-0 gave no scene" in shown.err
     assert "names no network" in shown.err
@@ -114,7 +114,7 @@ def test_a_configuration_that_gives_nothing_is_an_error(tmp_path, monkeypatch, c
 )
 def test_bad_arguments(tmp_path, capsys, arguments, said):
     out = tmp_path / "out"
-    assert main._run(["data", "record", *arguments, "--out", str(out)]) == 2
+    assert main.run(["data", "record", *arguments, "--out", str(out)]) == 2
     assert said in capsys.readouterr().err
     assert not out.exists()
 
@@ -123,10 +123,10 @@ def test_folders_that_are_not_for_it(tmp_path, capsys):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "letter.txt").write_text("dear")
-    assert main._run(["data", "record", *GENERATE, "--out", str(mine)]) == 2
+    assert main.run(["data", "record", *GENERATE, "--out", str(mine)]) == 2
     assert "not empty" in capsys.readouterr().err
     (mine / many.MANIFEST).write_text("{")
-    assert main._run(["data", "record", *GENERATE, "--out", str(mine)]) == 2
+    assert main.run(["data", "record", *GENERATE, "--out", str(mine)]) == 2
     assert sorted(file.name for file in mine.iterdir()) == [many.MANIFEST, "letter.txt"]
 
 
@@ -137,7 +137,7 @@ def test_two_configurations_of_one_name(tmp_path, capsys):
         file.parent.mkdir()
         file.write_text("<configuration/>")
         files.append(str(file))
-    assert main._run(["data", "record", *files, "--out", str(tmp_path / "out")]) == 2
+    assert main.run(["data", "record", *files, "--out", str(tmp_path / "out")]) == 2
     assert "net-0" in capsys.readouterr().err
     assert not Path(tmp_path / "out").exists()
 
@@ -145,6 +145,6 @@ def test_two_configurations_of_one_name(tmp_path, capsys):
 def test_the_manifest_says_what_was_asked_for(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "run", here)
     out = tmp_path / "out"
-    assert main._run(["data", "record", *GENERATE, "--networks", "1", "--out", str(out)]) == 0
+    assert main.run(["data", "record", *GENERATE, "--networks", "1", "--out", str(out)]) == 0
     described = json.loads((out / many.MANIFEST).read_text())
     assert (described["kind"], described["networks"], described["scenes"]) == ("junctions", 1, 3)

@@ -20,7 +20,7 @@ def out(tmp_path):
 
 
 def test_a_map_is_written_and_its_worst_places_shown(out, capsys):
-    assert main._run(["risk", str(out)]) == 0
+    assert main.run(["risk", str(out)]) == 0
     told = capsys.readouterr().out
     assert "four_way: 1 attack; not counted: 1 run with no vehicle to attack" in told
     assert "edge w_in" in told
@@ -28,7 +28,7 @@ def test_a_map_is_written_and_its_worst_places_shown(out, capsys):
 
 
 def test_two_results_side_by_side(out, tmp_path, capsys):
-    assert main._run(["compare", str(out), str(out), "--out", str(tmp_path / "both")]) == 0
+    assert main.run(["compare", str(out), str(out), "--out", str(tmp_path / "both")]) == 0
     told = capsys.readouterr().out
     assert "1 pair of the same moment and seed" in told
     assert "+0 (-0.998 to +0.998; 1 pair)" in told
@@ -46,13 +46,13 @@ def test_two_results_side_by_side(out, tmp_path, capsys):
 @pytest.mark.parametrize("arguments", [["risk"], ["compare"]])
 def test_what_is_no_result_folder_is_refused_in_one_line(arguments, tmp_path, capsys):
     folders = [str(tmp_path)] * (1 if arguments == ["risk"] else 2)
-    assert main._run([*arguments, *folders]) == 2
+    assert main.run([*arguments, *folders]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
     assert "is not a result folder" in line
 
 
 def test_an_unknown_quantity_is_refused(out, capsys):
-    assert main._run(["compare", str(out), str(out), "--quantity", "speed"]) == 2
+    assert main.run(["compare", str(out), str(out), "--quantity", "speed"]) == 2
     assert "'speed' is not a quantity" in capsys.readouterr().err
 
 
@@ -60,7 +60,7 @@ def test_what_differs_on_purpose_is_one_line_for_all_names_of_it(tmp_path, capsy
     for name in ("before", "after"):
         runs = Attacks(tmp_path / name)
         runs.add("a", av=eastward(), opponent=eastward(), spec=name, network=name)
-    assert main._run(["compare", str(tmp_path / "before"), str(tmp_path / "after")]) == 0
+    assert main.run(["compare", str(tmp_path / "before"), str(tmp_path / "after")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "spec, network, method: before in A, after in B" in [line.strip() for line in lines]
 
@@ -69,7 +69,7 @@ def test_attacks_beside_all_roads_make_an_empty_map(tmp_path, capsys):
     runs = Attacks(tmp_path / "out")
     beside = straight((100.0, 100.0), 5.0, 0.0)
     runs.add("a", av=beside, opponent=straight((100.0, 120.0), 5.0, 0.0))
-    assert main._run(["risk", str(tmp_path / "out")]) == 0
+    assert main.run(["risk", str(tmp_path / "out")]) == 0
     assert "four_way: 1 attack\n" in capsys.readouterr().out
     assert (tmp_path / "out" / "risk" / "risk.csv").read_text() == ""
 
@@ -100,7 +100,7 @@ def test_sides_that_are_not_alike_are_told_or_refused(tmp_path, capsys):
         )
 
     def compared(name):
-        code = main._run(["compare", str(tmp_path / "was"), str(tmp_path / name)])
+        code = main.run(["compare", str(tmp_path / "was"), str(tmp_path / name)])
         told = capsys.readouterr()
         return code, " ".join((told.out + told.err).split())
 
@@ -124,7 +124,7 @@ def test_traffic_that_has_changed_is_told(tmp_path, capsys):
         manifest = json.loads(file.read_text()) | {"machine": {"inputs": inputs}}
         file.write_text(json.dumps(manifest))
     for other, told in (("same", False), ("more", True)):
-        assert main._run(["compare", str(tmp_path / "was"), str(tmp_path / other)]) == 0
+        assert main.run(["compare", str(tmp_path / "was"), str(tmp_path / other)]) == 0
         shown = " ".join(capsys.readouterr().out.split())
         assert ("city.rou.xml: not the same in A and B" in shown) == told
 
@@ -140,19 +140,19 @@ def test_a_map_of_several_networks_makes_way_for_that_of_one(tmp_path, capsys):
     """The way back, too; what the user has put beside it stays each time."""
     a, b = a_network(tmp_path / "a", "one"), a_network(tmp_path / "b", "two")
     alone = ["risk", str(a)]
-    assert main._run(alone) == 0
+    assert main.run(alone) == 0
     (a / "risk" / "notes.txt").write_text("mine")
     first = {path.name for path in (a / "risk").iterdir()}
     for _ in range(2):
-        assert main._run([*alone, str(b)]) == 0
+        assert main.run([*alone, str(b)]) == 0
         assert {path.name for path in (a / "risk").iterdir()} == {"1-one", "2-two", "notes.txt"}
-        assert main._run(alone) == 0
+        assert main.run(alone) == 0
         assert {path.name for path in (a / "risk").iterdir()} == first
     assert (a / "risk" / "notes.txt").read_text() == "mine"
 
 
 def test_no_command_deletes_a_file_of_the_users_beside_a_map(out, tmp_path, capsys):
-    assert main._run(["risk", str(out)]) == 0
+    assert main.run(["risk", str(out)]) == 0
     notes = out / "risk" / "notes.txt"
     notes.write_text("mine")
     map_risk(out)
@@ -169,22 +169,22 @@ def test_no_command_deletes_a_file_of_the_users_beside_a_map(out, tmp_path, caps
 
 
 def test_all_files_of_a_map_are_known_to_be_of_it(out, capsys):
-    assert main._run(["risk", str(out), "--gis", "gpkg"]) == 0
+    assert main.run(["risk", str(out), "--gis", "gpkg"]) == 0
     made = {path.name for path in (out / "risk").iterdir()}
     assert made <= RISK_FILES
     assert gis.FILES < RISK_FILES
 
 
 def test_tables_of_places_are_exported_without_a_ranking(out, capsys):
-    assert main._run(["export", str(out), "--to", "csv"]) == 0
+    assert main.run(["export", str(out), "--to", "csv"]) == 0
     told = capsys.readouterr().out.strip()
     assert told.startswith(f"{out}/risk/risk.csv, {out}/risk/attacks.csv")
     assert told.count("\n") == 0
     assert "html" not in told
-    assert main._run(["export", str(out), "--to", "gpkg"]) == 0
+    assert main.run(["export", str(out), "--to", "gpkg"]) == 0
     assert capsys.readouterr().out.strip() == f"{out}/risk/risk.gpkg"
     capsys.readouterr()
-    assert main._run(["export", str(out), "--to", "geojson"]) == 2
+    assert main.run(["export", str(out), "--to", "geojson"]) == 2
     told = capsys.readouterr().err
     assert "geojson: the network four_way has the projection" in told
     assert "--gis" not in told

@@ -15,7 +15,7 @@ def test_runs_and_prints_a_table(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     path = tiny_network.spec(tiny, "shown")
     arguments = ["run", path, "--out", out, "--seed", 3, "--no-pictures", "--junit"]
-    assert main._run([str(one) for one in arguments]) == 0
+    assert main.run([str(one) for one in arguments]) == 0
     captured = capsys.readouterr()
     assert "shown--tiny--3" in captured.out
     assert "no contact" in captured.out
@@ -29,7 +29,7 @@ def test_runs_and_prints_a_table(tiny, tmp_path, capsys):
 
 def test_a_broken_expectation_is_exit_code_1(tiny, tmp_path, capsys):
     path = tiny_network.spec(tiny, "wrong", expect="{outcome: av_opponent}")
-    assert main._run(["run", str(path), "--out", str(tmp_path / "o"), "--no-pictures"]) == 1
+    assert main.run(["run", str(path), "--out", str(tmp_path / "o"), "--no-pictures"]) == 1
     assert "EXPECTATION BROKEN" in capsys.readouterr().out
 
 
@@ -47,7 +47,7 @@ def test_a_broken_expectation_is_exit_code_1(tiny, tmp_path, capsys):
 def test_refusals_are_one_line(tiny, monkeypatch, capsys, arguments, message):
     tiny_network.spec(tiny, "good")
     monkeypatch.chdir(tiny)
-    assert main._run(["run", *arguments]) == 2
+    assert main.run(["run", *arguments]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
     assert len([line for line in errors if line.startswith("deepmf-sumo: ")]) == 1
     assert message in errors[-1]
@@ -58,7 +58,7 @@ def test_missing_weights_are_exit_code_2_and_cost_no_other_run(tiny, tmp_path, c
     lost = tiny_network.spec(tiny, "no weights", adversary="S1", weights="nix")
     fine = tiny_network.spec(tiny, "needs none")
     out = tmp_path / "out"
-    assert main._run(["run", str(lost), str(fine), "--out", str(out), "--no-pictures"]) == 2
+    assert main.run(["run", str(lost), str(fine), "--out", str(out), "--no-pictures"]) == 2
     assert "There are no weights 'nix'" in capsys.readouterr().out
     rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["failed", "ok"]

@@ -25,8 +25,8 @@ def test_names_every_plugin_and_resolves_its_references():
 
 
 def test_is_written_or_printed(tmp_path, capsys):
-    assert main._run(["schema"]) == 0
+    assert main.run(["schema"]) == 0
     printed = capsys.readouterr().out
-    assert main._run(["schema", "--out", str(tmp_path / "s.json")]) == 0
+    assert main.run(["schema", "--out", str(tmp_path / "s.json")]) == 0
     assert (tmp_path / "s.json").read_text() == printed
-    assert main._run(["schema", "--out", str(tmp_path / "no" / "s.json")]) == 2
+    assert main.run(["schema", "--out", str(tmp_path / "no" / "s.json")]) == 2

@@ -18,7 +18,7 @@ RURAL = NETS / "rural" / "rural.net.xml"
 
 
 def run(*arguments):
-    return main._run(["screen", *map(str, arguments)])
+    return main.run(["screen", *map(str, arguments)])
 
 
 def refused(capsys, *arguments):

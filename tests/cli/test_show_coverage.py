@@ -19,7 +19,7 @@ def made(tmp_path_factory):
 
 
 def test_the_tables_say_what_was_attacked_and_why_something_was_not(made, capsys):
-    assert main._run(["show", str(made), "--coverage"]) == 0
+    assert main.run(["show", str(made), "--coverage"]) == 0
     said = capsys.readouterr().out
     lines = {line.split("  ")[0].strip(): line for line in said.splitlines()}
     assert said.startswith("four_way: 2 attacks")
@@ -32,7 +32,7 @@ def test_the_tables_say_what_was_attacked_and_why_something_was_not(made, capsys
 
 
 def test_the_cells_are_data(made, capsys):
-    assert main._run(["show", str(made), "--coverage", "--format", "json"]) == 0
+    assert main.run(["show", str(made), "--coverage", "--format", "json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     [row] = [one for one in rows if one["name"] == "rear-end"]
     assert (row["table"], row["attacks"], row["hits"], row["reason"]) == ("conflict", 2, 1, "")
@@ -42,5 +42,5 @@ def test_the_cells_are_data(made, capsys):
 
 @pytest.mark.parametrize("more", [["--failures"], ["--all"]])
 def test_it_goes_alone(made, more, capsys):
-    assert main._run(["show", str(made), "--coverage", *more]) == 2
+    assert main.run(["show", str(made), "--coverage", *more]) == 2
     assert "goes without" in capsys.readouterr().err

@@ -28,7 +28,7 @@ SHARED = (
 
 
 def call(*arguments):
-    return main._run([str(one) for one in arguments])
+    return main.run([str(one) for one in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def train(folder, tmp_path, capsys):
 
     def run(*arguments, out="set"):
         fixed = ["--out", str(tmp_path / out), "--cache", str(folder / "cache")]
-        code = main._run(["train", "opponent", *map(str, arguments), *fixed])
+        code = main.run(["train", "opponent", *map(str, arguments), *fixed])
         text = capsys.readouterr()
         return code, text.out, text.err
 
@@ -109,7 +109,7 @@ def test_what_one_network_cannot_begin_from_is_said_before_another_is_trained(
 ):
     data, first, made = ["--data", str(folder / "mine")], tmp_path / "before", tmp_path / "set"
     assert train(*data, "--steps", 2, out="before")[0] == 0  # an opponent network alone
-    code = main._run(["train", "all", *data, "--from", str(first), "--out", str(made)])
+    code = main.run(["train", "all", *data, "--from", str(first), "--out", str(made)])
     assert code == 2
     assert "marginal" in capsys.readouterr().err
     assert not made.exists()

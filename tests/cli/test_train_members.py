@@ -27,7 +27,7 @@ def trained(monkeypatch, tmp_path, capsys):
     def train(*arguments):
         asked.clear()
         fixed = ["--data", str(tmp_path), "--out", str(tmp_path / "set")]
-        code = main._run(["train", *map(str, arguments), *fixed])
+        code = main.run(["train", *map(str, arguments), *fixed])
         return code, list(asked), capsys.readouterr().err
 
     return train
@@ -57,7 +57,7 @@ def test_a_missing_member_is_one_sentence(tmp_path, capsys):
     (folder / "marginal.json").write_text(json.dumps(card))
     (folder / "marginal-2.json").unlink(missing_ok=True)
     npz.write(scene(), tmp_path / "one.npz")
-    code = main._run(["evaluate", str(tmp_path / "one.npz"), "--weights", str(folder)])
+    code = main.run(["evaluate", str(tmp_path / "one.npz"), "--weights", str(folder)])
     error = capsys.readouterr().err
     assert code == 2
     assert error.count("\n") == 1

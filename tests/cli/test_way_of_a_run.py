@@ -47,7 +47,7 @@ def test_a_run_takes_it(tiny, tmp_path, monkeypatch):
 
     monkeypatch.setattr(workers, "run", seen)
     path = tiny_network.spec(tiny, "way")
-    assert main._run(["run", str(path), "--out", str(tmp_path / "out")]) == 130
+    assert main.run(["run", str(path), "--out", str(tmp_path / "out")]) == 130
     hops = [(file, name.rpartition(".")[2]) for file, name in listed()]
     begin, end = stack.index(hops[0]), listed().index(("sweep/workers.py", "run"))
     assert stack[begin:] == hops[:end]

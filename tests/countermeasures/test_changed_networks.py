@@ -164,11 +164,11 @@ def test_both_sides_are_attacked_at_moments_of_both(tiny, tmp_path, capsys):
     arguments = ["try", tiny / "tiny.sumocfg", "--change", file, "-n", 2, "--duration", 1]
     arguments += ["--no-pictures", "--set", "adversary=none", "--out", tmp_path / "out"]
     arguments = list(map(str, arguments))
-    assert main._run([*arguments, "-n", "1"]) == 2
+    assert main.run([*arguments, "-n", "1"]) == 2
     assert "--moments 1: it takes two" in capsys.readouterr().err
-    assert main._run([*arguments, "--max-minutes", "0.0001"]) == 130
+    assert main.run([*arguments, "--max-minutes", "0.0001"]) == 130
     assert not (tmp_path / "out" / "compared").exists()
-    assert main._run([*arguments, "--overwrite"]) == 0
+    assert main.run([*arguments, "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert "edge 'ab': the limit of 13.90 m/s becomes 13.50 m/s" in said
     for side in ("before", "after"):
@@ -176,5 +176,5 @@ def test_both_sides_are_attacked_at_moments_of_both(tiny, tmp_path, capsys):
             assert (tmp_path / "out" / side / f"at-{of}" / "runs.csv").is_file()
     assert "2 pairs of the same moment and seed" in said
     assert (tmp_path / "out" / "compared" / "comparison.md").is_file()
-    assert main._run(arguments) == 2
+    assert main.run(arguments) == 2
     assert "has results of an earlier try" in capsys.readouterr().err

@@ -72,7 +72,7 @@ def command(*arguments: object) -> None:
     """Run a command line of deepmf-sumo. Raises DeepmfError where it ends with 2 or 3."""
     from deepmf_sumo.cli import main
 
-    code = main._run([str(one) for one in arguments])
+    code = main.run([str(one) for one in arguments])
     if code not in {0, 1}:
         raise DeepmfError(f"ended with {code}")
 

@@ -18,7 +18,7 @@ NEVER_BRAKES = "planner={name: constant_velocity, follow_route: true}"
 def run(out, *sets, seed=1):
     more = [word for one in ("adversary.tries=1", *sets) for word in ("--set", one)]
     arguments = [*SUITE, *more, "--seed", str(seed), "--out", str(out), "--jobs", "2"]
-    assert main._run(["run", *arguments, "--no-pictures"]) == 0
+    assert main.run(["run", *arguments, "--no-pictures"]) == 0
     return out
 
 

@@ -48,7 +48,7 @@ def brakes():
 
 
 def run(*arguments):
-    return main._run([str(one) for one in arguments])
+    return main.run([str(one) for one in arguments])
 
 
 def test_hits_of_the_blind_planner_are_its_own(folders, tmp_path, capsys):

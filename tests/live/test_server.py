@@ -82,7 +82,7 @@ def talked(tiny, tmp_path, capsys):
         command += ["--out", tmp_path / "live", "--", *OPTIONS, *more]
         with ThreadPoolExecutor(1) as pool:
             client = pool.submit(lambda: talk(functools.partial(connection, port)))
-            code = main._run(list(map(str, command)))
+            code = main.run(list(map(str, command)))
             client.result(timeout=60)
         return code, *capsys.readouterr()
 
@@ -657,4 +657,4 @@ def test_what_cannot_begin_is_one_sentence(tiny, tmp_path, capsys):
 
 def serve(tiny, tmp_path, *more):
     command = ["serve", tiny / "tiny.sumocfg", "--av", "av", "--out", tmp_path / "live", *more]
-    return main._run(list(map(str, command)))
+    return main.run(list(map(str, command)))

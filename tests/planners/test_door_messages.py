@@ -165,7 +165,7 @@ def test_a_question_of_another_kind_is_refused():
 
 
 def test_the_schema_is_printed_and_names_every_message(capsys):
-    assert main._run(["schema", "--planner"]) == 0
+    assert main.run(["schema", "--planner"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads(json.dumps(schema()))
     names = {"Reset", "Ready", "ViewMessage", "SumoAnswer", "SpeedAnswer", "LeaderAnswer"}

@@ -24,7 +24,7 @@ methods: {none: none, again: none}
 
 
 def call(*arguments):
-    return main._run([str(one) for one in arguments])
+    return main.run([str(one) for one in arguments])
 
 
 def rows(file):

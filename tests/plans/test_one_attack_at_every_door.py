@@ -27,7 +27,7 @@ ATTACKS = {
 
 
 def call(*arguments):
-    return main._run([str(one) for one in arguments])
+    return main.run([str(one) for one in arguments])
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def small(tmp_path_factory):
     listed = [{"name": "marginal"}, {"name": "marginal-2", "training_digest": "b"}]
     read = weights.read_card(folder, "marginal")
     cards.write_card(folder, "marginal", read | {"members": listed})
-    assert main._run(["train", "onnx", "--out", str(folder)]) == 0
+    assert main.run(["train", "onnx", "--out", str(folder)]) == 0
     return folder
 
 
@@ -136,7 +136,7 @@ def test_a_runtime_that_does_not_exist_is_named(monkeypatch):
 
 
 def test_training_options_beside_onnx_are_refused(capsys):
-    assert main._run(["train", "onnx", "--name", "open", "--steps", "5"]) == 2
+    assert main.run(["train", "onnx", "--name", "open", "--steps", "5"]) == 2
     assert "--steps is for training; onnx takes --name and --out." in capsys.readouterr().err
 
 
@@ -154,7 +154,7 @@ def test_without_torch_an_attack_hits_as_with_it(tmp_path):
         env={**os.environ, "PYTHONPATH": f"{blocked}:{ROOT}", weights.RUNTIME: "onnx"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert main._run(["run", *spec, str(tmp_path / "torch")]) == 0
+    assert main.run(["run", *spec, str(tmp_path / "torch")]) == 0
     one, other = (
         json.loads(next((tmp_path / name / "runs").glob("*/result.json")).read_text())
         for name in ("torch", "onnx")

@@ -160,14 +160,14 @@ def test_planners_of_one_spec_are_not_mixed(tmp_path):
 @pytest.mark.parametrize("folders", [1, 2, 12])
 def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
     made = [folder(tmp_path / f"out{number}", HIT_AND_MISS) for number in range(folders)]
-    assert main._run(["table", *map(str, made), "--csv", str(tmp_path / "table.csv")]) == 0
+    assert main.run(["table", *map(str, made), "--csv", str(tmp_path / "table.csv")]) == 0
     told = capsys.readouterr().out
     assert "planner idm" in told
     assert told.count("50 % (1 to 99)") == folders
     assert "never met: 1 of 2" in told
     assert ("--all shows all quantities" in told) == (folders == 12)
     assert (tmp_path / "table.csv").read_text().count("\n") == folders + 1
-    assert main._run(["table", "--all", *map(str, made)]) == 0
+    assert main.run(["table", "--all", *map(str, made)]) == 0
     assert capsys.readouterr().out.count("1 rear end") == folders
 
 
@@ -184,7 +184,7 @@ def test_a_cell_that_is_not_a_number_is_named(tmp_path, capsys, cell):
     made = folder(tmp_path, [("ok", "none", 1.0)])
     frame = pd.read_csv(made / "runs.csv", dtype=str).assign(generation_s=cell)
     frame.to_csv(made / "runs.csv", index=False)
-    assert main._run(["show", str(made)]) == 2
+    assert main.run(["show", str(made)]) == 2
     said = capsys.readouterr().err
     assert "runs.csv is damaged: generation_s of run0 is" in said
     assert "unexpected" not in said
@@ -212,6 +212,6 @@ def test_a_folder_of_result_folders_is_shown_as_these(tmp_path, capsys):
         (tmp_path / place).mkdir(parents=True)
         folder(tmp_path / place, [("ok", "none", 1.0)])
         (tmp_path / place / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {}}')
-    assert main._run(["show", str(tmp_path / "seeds"), "--format", "json"]) == 0
+    assert main.run(["show", str(tmp_path / "seeds"), "--format", "json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["folder"] for row in rows] == ["1", "2"]

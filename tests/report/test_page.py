@@ -263,10 +263,10 @@ def test_no_result_folder(tmp_path, files, message):
 @pytest.mark.sumo
 def test_the_command_writes_the_page(folder, capsys):
     folder.add("s1")
-    assert main._run(["report", str(folder.out)]) == 0
+    assert main.run(["report", str(folder.out)]) == 0
     assert "report.html" in capsys.readouterr().out
     assert (folder.out / "report.html").is_file()
-    assert main._run(["report", str(folder.out / "nowhere")]) == 2
+    assert main.run(["report", str(folder.out / "nowhere")]) == 2
 
 
 @pytest.mark.parametrize(

@@ -175,8 +175,8 @@ def test_the_same_map_has_the_same_bytes_and_without_the_option_none_is_left(tmp
 @pytest.mark.parametrize(("to", "file"), [("geopackage", "risk.gpkg"), ("csv", "conflicts.csv")])
 def test_export_writes_the_map_of_risk(to, file, tmp_path):
     out, _ = attacks_on(tmp_path, "!")
-    assert main._run(["risk", str(out), "--gis", "gpkg", "--out", str(tmp_path / "risk")]) == 0
-    assert main._run(["export", str(out), "--to", to, "--out", str(tmp_path / "exported")]) == 0
+    assert main.run(["risk", str(out), "--gis", "gpkg", "--out", str(tmp_path / "risk")]) == 0
+    assert main.run(["export", str(out), "--to", to, "--out", str(tmp_path / "exported")]) == 0
     assert (tmp_path / "exported" / file).read_bytes() == (tmp_path / "risk" / file).read_bytes()
 
 
@@ -185,7 +185,7 @@ def test_geojson_without_longitude_and_latitude_is_refused_before_anything_is_wr
     projection, tmp_path, capsys
 ):
     out, _ = attacks_on(tmp_path, projection)
-    assert main._run(["risk", str(out), "--gis", "gpkg", "--gis", "geojson"]) == 2
+    assert main.run(["risk", str(out), "--gis", "gpkg", "--gis", "geojson"]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
     assert f"the network four_way has the projection '{projection}'" in line
     assert "ask for gpkg" in line

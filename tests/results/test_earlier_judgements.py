@@ -50,7 +50,7 @@ def test_they_are_read_as_they_were_judged(old):
 
 @pytest.mark.parametrize("command", [["show"], ["show", "--failures"]])
 def test_commands_that_compare_say_so(old, command, capsys):
-    main._run([*command, str(old)])
+    main.run([*command, str(old)])
     said = capsys.readouterr().err
     assert WORD in said
     assert "run them again" in said

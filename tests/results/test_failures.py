@@ -269,38 +269,38 @@ def test_the_onset_of_a_turn_is_not_before_it(tmp_path):
 def test_a_run_that_cannot_be_read_is_named(folder, capsys):
     file = folder / "runs" / "00-one" / "tracks.csv.gz"
     files.write(file, file.read_bytes()[:40])
-    assert main._run(["show", str(folder), "--failures"]) == 0
+    assert main.run(["show", str(folder), "--failures"]) == 0
     said = capsys.readouterr()
     assert "00-one cannot be described" in said.err
     assert "1 of 4" in said.out
 
 
 def test_the_groups_are_data(folder, capsys):
-    assert main._run(["show", str(folder), "--failures", "--format", "json"]) == 0
+    assert main.run(["show", str(folder), "--failures", "--format", "json"]) == 0
     [group] = json.loads(capsys.readouterr().out)
     assert group["run_ids"] == ["00-one", "01-two"]
     assert (group["runs"], group["of"], group["kind"]) == (2, 4, "hit")
     assert ". It would have been enough to brake fully" in group["sentence"]
     assert group["change"] == "reacts"
     assert group["folder"] == str(folder / "runs" / "00-one")
-    assert main._run(["show", str(folder), "--failures", "--format", "csv"]) == 0
+    assert main.run(["show", str(folder), "--failures", "--format", "csv"]) == 0
     said = capsys.readouterr().out
     assert "00-one 01-two" in said
     assert not set("[]{}") & set(said)
-    assert main._run(["show", str(folder), "--failures", "--all"]) == 2
+    assert main.run(["show", str(folder), "--failures", "--all"]) == 2
 
 
 def test_a_folder_without_failures_says_so(tmp_path, capsys):
     made = Folder(tmp_path)
     made.add("miss", hit=False)
-    assert main._run(["show", str(made.out), "--failures"]) == 0
+    assert main.run(["show", str(made.out), "--failures"]) == 0
     assert capsys.readouterr().out.strip() == "no failures in 1 run"
 
 
 def test_groups_of_several_folders_name_the_folder_of_their_example(folder, capsys):
-    assert main._run(["show", str(folder), "--failures"]) == 0
+    assert main.run(["show", str(folder), "--failures"]) == 0
     assert str(folder) not in capsys.readouterr().out
-    assert main._run(["show", str(folder), str(folder), "--failures"]) == 0
+    assert main.run(["show", str(folder), str(folder), "--failures"]) == 0
     said = capsys.readouterr().out
     assert str(folder / "runs" / "00-one") in said.replace("\n", "")
     assert "4 of 8" in said

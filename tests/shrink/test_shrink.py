@@ -90,7 +90,7 @@ def again(file, out):
 
 def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_path, capsys):
     file = tmp_path / "small.yaml"
-    assert main._run(["shrink", str(hit), "--out", str(file), "--simulations", "20"]) == 0
+    assert main.run(["shrink", str(hit), "--out", str(file), "--simulations", "20"]) == 0
     said = capsys.readouterr()
     assert "road users -> 2" in said.out
     assert "repeated byte for byte" in said.out
@@ -106,7 +106,7 @@ def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_p
     assert (first.folder / tracks.FILE).read_bytes() == (second.folder / tracks.FILE).read_bytes()
     assert first.result["expectations_broken"] == ["av_collision is true, expected false"]
     careful = ["--set", "planner=idm", "--out", str(tmp_path / "careful"), "--no-pictures"]
-    assert main._run(["run", str(file), *careful]) == 0
+    assert main.run(["run", str(file), *careful]) == 0
 
 
 def test_nothing_gets_larger_and_the_budget_is_kept(hit):
@@ -164,7 +164,7 @@ def test_what_cannot_be_shrunk_is_refused_in_one_sentence(hit, tmp_path, capsys)
         shrink.run_of(folder.out)
     with pytest.raises(UsageError, match=r"has no run '00-ones'\. Did you mean '00-one'"):
         shrink.run_of(folder.out, "00-ones")
-    assert main._run(["shrink", str(hit), "--out", str(tmp_path / "no" / "x.yaml")]) == 2
+    assert main.run(["shrink", str(hit), "--out", str(tmp_path / "no" / "x.yaml")]) == 2
     assert "is not a folder" in capsys.readouterr().err
     copy = shutil.copytree(hit, tmp_path / "copy")
     text = (hit / "spec.yaml").read_text()

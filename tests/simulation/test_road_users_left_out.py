@@ -101,7 +101,7 @@ def test_signals_seen_before_a_later_begin_are_known():
 def test_what_the_recording_does_not_have_is_named(recorded, capsys, source, said):
     _, of = recorded
     spec, out = of("wrong", **source)
-    assert main._run(["run", str(spec), "--out", str(out), "--no-pictures"]) == 2
+    assert main.run(["run", str(spec), "--out", str(out), "--no-pictures"]) == 2
     assert said in " ".join(capsys.readouterr().out.split())
 
 

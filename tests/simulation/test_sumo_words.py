@@ -66,7 +66,7 @@ def test_an_error_names_what_sumo_names(fault, tmp_path, capsys):
     with pytest.raises(SimulationError) as refused:
         survey(Survey(config=config, seed=1, until_s=20.0))
     assert str(refused.value).count(words[0].rstrip(".")) == 1
-    code = main._run(["attack", str(config), "--moments", "1", "--out", str(tmp_path / "out")])
+    code = main.run(["attack", str(config), "--moments", "1", "--out", str(tmp_path / "out")])
     assert code == 3
     assert words[0].rstrip(".") in " ".join(capsys.readouterr().err.split())
 
@@ -93,7 +93,7 @@ def test_demand_that_sumo_drops_or_changes_is_told(tmp_path, capsys):
     assert set(kinds) <= set(words)
     assert any("'early'" in one for one in kinds)
     command = ["attack", str(config), "--moments", "1", "--set", "adversary=none"]
-    main._run([*command, "--no-pictures", "--no-risk", "--out", str(tmp_path / "out")])
+    main.run([*command, "--no-pictures", "--no-risk", "--out", str(tmp_path / "out")])
     assert "'early'" in " ".join(capsys.readouterr().err.split())
 
 
