@@ -21,6 +21,7 @@ from deepmf_sumo.plans import entries, plan
 from deepmf_sumo.results import artifacts
 from deepmf_sumo.spec import profiles
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -239,7 +240,7 @@ def test_both_spellings_plan_byte_for_byte_alike(name):
         policy = build(settings, Doubles())
         view = view_of({"av": (0, 0, 0, 10.0), "b": (-9, 3.5, 0, 14.0)})
         policy.reset(view, np.random.default_rng(0))
-        return artifacts._reason(policy.plan(view).reason)
+        return artifacts._reason(plan_of(policy, view).reason)
 
     one, other = plans_of(**{name: True}), plans_of(constraints=[name])
     assert one.keys() == other.keys()

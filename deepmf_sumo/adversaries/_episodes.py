@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -78,13 +78,14 @@ class Scout:
         self.view: View | None = None
         self.chosen: AgentId | None = None
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """Keep the view and choose."""
         self.view, self.chosen = view, self._choose(view, rng)
-        return None
+        return ()
 
-    def plan(self, view: View) -> None:
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
         """Drive no vehicle."""
+        return {}
 
 
 def scout(case: Case, simulate: Simulate, choose: Choose) -> Scouted | None:
@@ -234,13 +235,13 @@ class Planned:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId:
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """Report the plan's agent."""
-        return self._plan.agent_id
+        return (self._plan.agent_id,)
 
-    def plan(self, view: View) -> Plan:
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
         """The plan."""
-        return self._plan
+        return {self._plan.agent_id: self._plan}
 
 
 class OpponentSettings(plugins.Settings):

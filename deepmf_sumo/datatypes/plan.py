@@ -158,7 +158,15 @@ class Plan(Frozen):
 
 
 TurnEnd = Literal[
-    "contact", "out_of_reach", "gone", "too_long", "plan_ended", "harmless", "time", "av_gone"
+    "contact",
+    "other_hit",
+    "out_of_reach",
+    "gone",
+    "too_long",
+    "plan_ended",
+    "harmless",
+    "time",
+    "av_gone",
 ]
 
 
@@ -183,12 +191,14 @@ class TurnRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """One attack of several in an episode.
+    """The attack of one vehicle of several in an episode, which attack together or in turn.
 
     Attributes:
         first_step: at which the opponent was chosen; the policy drives it from the next step on.
+            Those that attack together have the same.
         last_step: the last of the turn; SUMO drives from the next step on.
-        ended: ``contact`` with the AV; ``out_of_reach``; ``gone`` (left the simulation);
+        ended: ``contact`` with the AV; ``other_hit``: of a vehicle that attacked together with
+            it; ``out_of_reach``; ``gone`` (left the simulation);
             ``too_long``; ``plan_ended`` (by a policy that does not replan); ``harmless``;
             ``time`` and ``av_gone``: the episode's end.
         gap_m: least distance of the boxes of AV and opponent in the turn.

@@ -1,6 +1,6 @@
 """What happened in one simulated episode, what was measured of it, and what a search found."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Literal
@@ -12,6 +12,8 @@ from deepmf_sumo.datatypes.plan import Plan, Turn
 from deepmf_sumo.datatypes.scene import HISTORY_STEPS, AgentId, SignalState, Tracks
 
 ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
+Role = Literal["av", "opponent", "attacker", "other"]
+"""``attacker``: one that attacks together with the opponent, the decisive attacker."""
 
 
 class Driver(IntEnum):
@@ -29,6 +31,7 @@ class Contact(Frozen):
     """Two boxes overlap for the first time.
 
     Attributes:
+        kind: by the roles of the two; ``opponent_other`` also of two that attack together.
         first_id: the AV, or the opponent if the AV is not involved. second_id: the other.
         striker_id: the vehicle that moved faster towards the other's box.
         pose_first, pose_second: (3) x, y, heading at the contact.
@@ -71,13 +74,15 @@ class Rollout(Frozen):
         tracks: (A, T) from the first history step to the last simulated one.
         driver: (A, T) Driver numbers.
         now: index of the current step, at which the simulation took over.
-        opponent_id: None if no vehicle could attack; of several turns the decisive one's.
+        attackers: the vehicles that attacked together, the decisive one first (of opponents in
+            turn those of the decisive turn); empty if none could attack.
         ended: ``contact`` (AV and opponent), ``time``, ``av_gone``; of a turn `Turn.ended`.
         seconds: wall time by part (``simulation``, ``policy``, ``planner``).
         leaders: for each simulated step the vehicles that the AV's planner named, or that SUMO's
             model followed on its lanes; None if neither applies (poses, plain speeds).
         signals: for each simulated step the signals before it, by lane id.
-        turns: attacks of several opponents in sequence, if the case asks for that; else empty.
+        turns: the attack of each vehicle, where several attacked together or the case asks for
+            opponents in turn; else empty.
     """
 
     tracks: Tracks
@@ -85,7 +90,7 @@ class Rollout(Frozen):
     now: int
     dt_s: float
     av_id: AgentId
-    opponent_id: AgentId | None
+    attackers: tuple[AgentId, ...]
     contacts: tuple[Contact, ...]
     events: tuple[Event, ...]
     plans: tuple[Plan, ...]
@@ -94,6 +99,19 @@ class Rollout(Frozen):
     leaders: tuple[tuple[AgentId, ...] | None, ...] = ()
     signals: tuple[dict[str, SignalState], ...] = ()
     turns: tuple[Turn, ...] = ()
+
+    @property
+    def opponent_id(self) -> AgentId | None:
+        """The decisive attacker, which metrics are of; None if no vehicle could attack."""
+        return next(iter(self.attackers), None)
+
+    @property
+    def roles(self) -> dict[AgentId, Role]:
+        """Of the AV and its attackers; all other agents are ``other``."""
+        found: dict[AgentId, Role] = dict.fromkeys(self.attackers, "attacker")
+        if self.opponent_id is not None:
+            found[self.opponent_id] = "opponent"
+        return {**found, self.av_id: "av"}
 
     def first(self, kind: ContactKind) -> Contact | None:
         """First contact of a kind."""
@@ -108,10 +126,12 @@ class Rollout(Frozen):
         return others[0].kind if others else "none"
 
     def of_turn(self, turn: Turn) -> "Rollout":
-        """One turn as a rollout of its own; steps keep their numbers.
+        """One turn as a rollout of its own, with one attacker; steps keep their numbers.
 
-        Its agents are those observed in the turn or in the second before it.
+        Its agents are those observed in the turn or in the second before it. Vehicles that attack
+        together with this one are other road users.
         """
+        attacker = turn.opponent_id
         stop = turn.last_step + 1
         seen = self.tracks.valid[:, max(0, turn.first_step + 1 - HISTORY_STEPS) : stop].any(axis=1)
         rows = np.flatnonzero(seen).tolist()
@@ -122,15 +142,28 @@ class Rollout(Frozen):
             tracks=self.tracks.window(0, stop).select(rows),
             driver=self.driver[rows, :stop],
             now=turn.first_step,
-            opponent_id=turn.opponent_id,
-            contacts=tuple(contact for contact in self.contacts if contact.step in steps),
+            attackers=(attacker,),
+            contacts=tuple(one for one in self._contacts_of(attacker) if one.step in steps),
             events=tuple(event for event in self.events if event.step in steps),
-            plans=tuple(plan for plan in self.plans if plan.first_step in steps),
+            plans=tuple(
+                plan
+                for plan in self.plans
+                if plan.first_step in steps and plan.agent_id == attacker
+            ),
             ended=turn.ended,
             leaders=self.leaders[simulated],
             signals=self.signals[simulated],
             turns=(turn,),
         )
+
+    def _contacts_of(self, attacker: AgentId) -> Iterator[Contact]:
+        """The contacts as if this attacker were the only one."""
+        for one in self.contacts:
+            its_own = attacker in (one.first_id, one.second_id)
+            if one.kind == "av_opponent" and not its_own:
+                yield replace(one, kind="av_other")
+            elif one.kind != "opponent_other" or its_own:
+                yield one
 
 
 def decisive(turns: Sequence[Turn]) -> Turn | None:

@@ -5,7 +5,7 @@ among candidates Y_OV. `DeepMF._plan` is the whole of it: generate candidates, p
 reactions, collide all pairs, apply the constraints, choose.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -123,7 +123,7 @@ class DeepMF:
     def predicted(self, found: dict[tuple[int, AgentId], Predicted]) -> None:
         self._experience.predicted = found
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """Choose the opponent, before the first plan.
 
         Raises RunError if the settings name an opponent that is not in the view.
@@ -139,24 +139,25 @@ class DeepMF:
         watch.lap("opponent")
         self.seconds += watch.seconds
         if chosen is None:
-            return None
+            return ()
         if settings.tried > 1 and self._scores:
             tried = self._not_given_up(self._scores)
             self._attack = self._most_promising(view, [self._new_attack(one) for one in tried])
         else:
             self._attack = self._new_attack(chosen)
-        return self._attack.opponent_id
+        return (self._attack.opponent_id,)
 
-    def plan(self, view: View) -> Plan | None:
-        """The opponent's next 8 s; None if the opponent or the AV is not in the view."""
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
+        """The opponent's next 8 s; empty if the opponent or the AV is not in the view."""
         attack, present = self._attack, view.history.ids
         if attack is None or attack.opponent_id not in present or view.av_id not in present:
-            return None
-        if not attack.ready:
+            return {}
+        plan = attack.last
+        if plan is None or not attack.ready:
             watch = Stopwatch()
-            attack.last = self._plan(view, attack, self._predict_av(view, watch), watch)
-        attack.ready = False
-        return attack.last
+            plan = self._plan(view, attack, self._predict_av(view, watch), watch)
+        attack.last, attack.ready = plan, False
+        return {attack.opponent_id: plan}
 
     def _not_given_up(self, scores: OpponentScores) -> list[AgentId]:
         """The vehicles to make a first plan for; all again after each was given up."""

@@ -107,9 +107,7 @@ def lights_near(rollout: Rollout, road: RoadMap) -> list[str]:
     names = dict.fromkeys(name for lights in rollout.signals for name in lights)
     known = [name for name in names if name in road.lanes]
     tracks = rollout.tracks
-    main = [
-        row for row, one in enumerate(tracks.ids) if one in (rollout.av_id, rollout.opponent_id)
-    ]
+    main = [row for row, one in enumerate(tracks.ids) if one in (rollout.av_id, *rollout.attackers)]
     driven = np.concatenate([tracks.position_m[row, tracks.valid[row]] for row in main])
     if not known or not len(driven):
         return []

@@ -19,6 +19,7 @@ import shapely
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import AgentId, Bools, Floats, RoadMap, Rollout, Tracks, agent_ids
 from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
+from deepmf_sumo.datatypes.rollout import Role
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import boxes, frames
 from deepmf_sumo.network.sumo_net import read_once
@@ -26,7 +27,9 @@ from deepmf_sumo.network.sumo_net import read_once
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
 FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
-_COLOURS = {"av": "200,30,30", "opponent": "240,140,0", "other": "120,130,150"}
+_COLOURS: Final[dict[Role, str]] = {
+    "av": "200,30,30", "opponent": "240,140,0", "attacker": "240,140,0", "other": "120,130,150",
+}  # fmt: skip
 _SHAPES: Final[dict[RoadUserClass, str]] = {
     "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
     "pedestrian": "pedestrian", "other": "passenger",
@@ -115,12 +118,6 @@ def _from_first(on_lane: Bools) -> Bools:
     return begun
 
 
-def _role(rollout: Rollout, agent: str) -> str:
-    if agent == rollout.av_id:
-        return "av"
-    return "opponent" if agent == rollout.opponent_id else "other"
-
-
 def _types(rollout: Rollout) -> str:
     tracks, lines = rollout.tracks, []
     for row, agent in enumerate(tracks.ids):
@@ -130,7 +127,7 @@ def _types(rollout: Rollout) -> str:
         lines.append(
             f'    <vType id="type_{row}" vClass="ignoring" guiShape="{shape}" '
             f'length="{length:.3f}" width="{width:.3f}" height="{max(height, 0.1):.3f}" '
-            f'color="{_COLOURS[_role(rollout, agent)]}" speedFactor="10" speedDev="0" '
+            f'color="{_COLOURS[rollout.roles.get(agent, "other")]}" speedFactor="10" speedDev="0" '
             'maxSpeed="100" accel="1000" decel="1000" emergencyDecel="1000"/>'
         )
     return "<additional>\n" + "\n".join(lines) + "\n</additional>\n"

@@ -268,10 +268,9 @@ def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:
         wheel = {"wheelDiameter": 0.6, "trackWidth": _m(0.8 * width), "positionZ": 0.3}
         _add(axles, "FrontAxle", maxSteering=0.5, positionX=_m(2 * actor.axle_m), **wheel)
         _add(axles, "RearAxle", maxSteering=0, positionX=0, **wheel)
-    roles = {rollout.opponent_id: "opponent", rollout.av_id: "av"}
     properties = _add(thing, "Properties")
     _add(properties, "Property", name="id", value=agent)
-    _add(properties, "Property", name="role", value=roles.get(agent, "other"))
+    _add(properties, "Property", name="role", value=rollout.roles.get(agent, "other"))
 
 
 def _begin(private: ET.Element, actor: _Actor) -> None:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import RoadMap, Rollout, Scene, Signals, Tracks, frozen
+from deepmf_sumo.datatypes import Plan, RoadMap, Rollout, Scene, Signals, Tracks, frozen
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.geometry.ground import ground_of
@@ -32,14 +32,14 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
 def scene_of(run: Exportable) -> Scene:
     """The run as a scene whose labelled pair is the AV and its opponent.
 
-    After a contact the AV is not valid, since its further motion is unknown; the opponent's last
-    plan continues, since the AV reacted to it. Signals of recordings are kept; a rollout has none
+    After a contact the AV is not valid, since its further motion is unknown; the attackers' last
+    plans continue, since the AV reacted to them. Signals of recordings are kept; a rollout has none
     of network cases, so there they are unknown.
     """
     rollout, around = run.rollout, run.around
     steps = max(rollout.tracks.steps, rollout.now + 1 + run.duration_steps)
     tracks = rollout.tracks.padded(steps - rollout.tracks.steps)
-    tracks = _with_plan(tracks, rollout, around.road)
+    tracks = _with_plans(tracks, rollout, around.road)
     interest = (rollout.av_id, rollout.opponent_id) if rollout.opponent_id else ()
     known = around.signals
     signals = _unknown(steps) if known is None else _continued(known, steps)
@@ -57,11 +57,18 @@ def scene_of(run: Exportable) -> Scene:
     )
 
 
-def _with_plan(tracks: Tracks, rollout: Rollout, road: RoadMap) -> Tracks:
-    """The opponent's last plan after the end of the episode, at the heights of the road."""
-    if not rollout.plans or rollout.opponent_id not in tracks.ids:
-        return tracks
-    plan, row, begin = rollout.plans[-1], tracks.row(str(rollout.opponent_id)), rollout.tracks.steps
+def _with_plans(tracks: Tracks, rollout: Rollout, road: RoadMap) -> Tracks:
+    """The attackers' last plans after the end of the episode, at the heights of the road."""
+    for agent in rollout.attackers:
+        plans = [plan for plan in rollout.plans if plan.agent_id == agent]
+        if plans and agent in tracks.ids:
+            tracks = _with_plan(tracks, plans[-1], rollout.tracks.steps, road)
+    return tracks
+
+
+def _with_plan(tracks: Tracks, plan: Plan, begin: int, road: RoadMap) -> Tracks:
+    """The tracks with a plan from a step on."""
+    row = tracks.row(plan.agent_id)
     stop = min(tracks.steps, plan.first_step + len(plan.position_m))
     if stop <= begin:
         return tracks

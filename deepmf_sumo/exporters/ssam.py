@@ -186,7 +186,7 @@ def _accelerations(motions: Motions) -> Floats:
 
 def _vehicles(rollout: Rollout) -> str:
     """SSAM's number of each road user, in the order of ``tracks.csv.gz``."""
-    tracks, roles = rollout.tracks, {rollout.opponent_id: "opponent", rollout.av_id: "av"}
+    tracks, roles = rollout.tracks, rollout.roles
     rows = [
         {
             "number": row + 1,

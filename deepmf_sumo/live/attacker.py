@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,12 +51,12 @@ class OneThread:
         """That of the policy."""
         return self.inner.period_steps
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId | None:
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """As the policy does."""
         with self.one_thread():
             return self.inner.reset(view, rng)
 
-    def plan(self, view: View) -> Plan | None:
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
         """As the policy does."""
         with self.one_thread():
             return self.inner.plan(view)
@@ -303,7 +303,7 @@ class Attacker:
 
     @property
     def opponents(self) -> dict[AgentId, AgentId]:
-        """The vehicles that attack now, by the AV that each of them attacks."""
+        """The vehicles that attack now, by the AV that each attacks; of several, the first."""
         return {one.av_id: one.attacking for one in self._sessions if one.attacking is not None}
 
     @property

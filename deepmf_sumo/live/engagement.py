@@ -1,4 +1,4 @@
-"""One attack on a running simulation: views for the policy, the opponent's motion, its end."""
+"""One attack on a running simulation: views for the policy, the attackers' motion, its end."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +20,7 @@ from deepmf_sumo.datatypes import (
     View,
 )
 from deepmf_sumo.datatypes.plan import TurnEnd
+from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.live.observer import Observer, Sighting
@@ -85,18 +86,18 @@ class Scenery:
 
 
 class Engagement:
-    """The AV and its opponent during one attack. Steps count from the first of the history.
+    """The AV and its attackers during one attack. Steps count from the first of the history.
 
     Args:
         scenery: the simulation and the rules.
         history: the last second, oldest first; the last of them is now.
-        policy: drives the opponent.
+        policy: drives the attackers.
         rng: for the policy.
         tired: vehicles that attack only if no other can.
         taken: vehicles that do not attack.
 
     Attributes:
-        opponent_id: None if no vehicle can attack, or the AV overlaps an agent already.
+        attackers: empty if no vehicle can attack, or the AV overlaps an agent already.
 
     Raises RunError if the policy chooses an opponent that is absent.
     """
@@ -131,14 +132,14 @@ class Engagement:
             rested = _without(free, tired)
             if rested is not free:
                 found = AttackSchedule(policy, rested, rng, scenery.rules, owner)
-                if found.attacker is not None:
+                if found.attackers:
                     return found
             return AttackSchedule(policy, free, rng, scenery.rules, owner)
 
         road = scenery.surroundings.road
         self._record = EpisodeRecord(av, road, recorder, frame, longest, self._signals, schedule)
         touching = any(event.agent_id == av for event in self._record.judge.events)
-        self.opponent_id = None if touching else self._record.schedule.attacker
+        self.attackers = () if touching else self._record.schedule.attackers
         self._step = self._record.step
         self._from: Mapping[AgentId, Pose | None] = {}
         self._to: Mapping[AgentId, Pose | None] = {}
@@ -146,38 +147,38 @@ class Engagement:
         self._lights: list[dict[str, SignalState]] = []
 
     @property
-    def turn(self) -> Turn | None:
-        """How the attack ended; None while it goes on."""
-        closed = self._record.schedule.closed
-        return closed[0] if closed else None
+    def turns(self) -> tuple[Turn, ...]:
+        """How the attack ended, by vehicle; empty while it goes on."""
+        schedule = self._record.schedule
+        return () if schedule.attackers else schedule.closed
 
     @property
     def leaving(self) -> bool:
-        """Whether the opponent of an attack that is over is on its way to where SUMO drives on."""
-        return self.turn is not None and bool(self._takeover.placed())
+        """Whether attackers of an attack that is over are on their way to where SUMO drives on."""
+        return bool(self.turns and self._takeover.placed())
 
     def decide(self) -> None:
-        """Choose the opponent's pose 0.1 s from now; the policy plans if that is due."""
+        """Choose the attackers' poses 0.1 s from now; the policy plans if that is due."""
         self._seen.clear()
-        if self.turn is None:
+        if not self.turns:
             self._lights.append(self._signals())
             self._record.replan()
         self._from, self._step = self._to, self._step + 1
         self._to = self._record.schedule.advance(self._step)
 
     def place(self, share: float) -> None:
-        """Put the opponent at a share of the way to its next pose; hand it back without one."""
+        """Put attackers at a share of the way to their next poses; hand back those without one."""
         for agent, to in self._to.items():
             if to is None:
                 self._takeover.hand_back(self._step, agent)
                 continue
-            start = self._from.get(agent) or self._opponent_pose()
+            start = self._from.get(agent) or self._pose(agent)
             pose = to if share > 1 - 1e-9 or start is None else _between(start, to, share)
             length_m = self._scenery.observer.bodies[agent].size_m[0]
             self._takeover.place(self._step, agent, pose, length_m)
 
     def settle(self) -> None:
-        """Correct what SUMO assumes of the opponent, after each of its steps."""
+        """Correct what SUMO assumes of the attackers, after each of its steps."""
         self._takeover.after_step()
 
     def look(self, sighting: Sighting) -> None:
@@ -201,8 +202,9 @@ class Engagement:
 
     def rollout(self) -> Rollout:
         """What happened, with the last second before it; only after the end."""
-        assert self.turn is not None
-        return self._record.rollout(self.turn.ended, self._events, signals=self._lights)
+        turn = decisive(self.turns)
+        assert turn is not None
+        return self._record.rollout(turn.ended, self._events, signals=self._lights)
 
     def _around(self, agent: AgentId) -> Occupancy:
         """The agents around a vehicle that is driven here, which may be far from the AV."""
@@ -225,7 +227,7 @@ class Engagement:
         return self._scenery.surroundings.signals((self._av_pose.x_m, self._av_pose.y_m))
 
     def _shown(self, sighting: Sighting) -> Frame:
-        """The sighting as policies and judges see it: the opponent is where it was placed."""
+        """The sighting as policies and judges see it: attackers are where they were placed."""
         scenery = self._scenery
         known = {scenery.av_id: (self._av_pose, Driver.PLANNER)}
         for agent, pose in self._takeover.placed().items():
@@ -237,12 +239,12 @@ class Engagement:
         """Whether SUMO has the agent; its search does not find vehicles off every lane."""
         return agent in sighting.vehicles or self._scenery.observer.position(agent) is not None
 
-    def _opponent_pose(self) -> Pose | None:
-        """Where SUMO has the opponent now."""
-        opponent, frame = self._record.schedule.attacker, self._record.frame
-        if opponent is None or opponent not in frame.ids:
+    def _pose(self, agent: AgentId) -> Pose | None:
+        """Where SUMO has an agent now."""
+        frame = self._record.frame
+        if agent not in frame.ids:
             return None
-        row = frame.ids.index(opponent)
+        row = frame.ids.index(agent)
         x, y = frame.position_m[row]
         return Pose(
             x_m=float(x),

@@ -21,8 +21,9 @@ from typing import Any, Final
 import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
+from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.judge.metrics import Episode, measured
+from deepmf_sumo.judge.metrics import Episode, measure, measured
 from deepmf_sumo.live.session import Jump, LiveAttack, Switch
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
@@ -130,7 +131,9 @@ class Results:
 
 def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) -> Result:
     begin = time.perf_counter()
-    rollout = replace(attack.rollout, turns=())  # an attack of its own
+    rollout = attack.rollout
+    if len(rollout.turns) == 1:
+        rollout = replace(rollout, turns=())  # an attack of its own
     case = TrafficCase(
         name=task.run_id,
         road=setting.road,
@@ -143,11 +146,12 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) ->
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     found_attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
-    episode = Episode(rollout, case)
-    values = measured(episode)
-    artifacts.write_unattacked(folder, rollout, case)
+    decisive_part = result.decisive_part(rollout, case)
+    episode = Episode(*decisive_part)
+    values, by_turn = measured(episode), result.judged(rollout, case, measure)
+    artifacts.write_unattacked(folder, *decisive_part)
     wall_s = time.perf_counter() - begin
-    found = result.finished(task, case, found_attack, values, wall_s, decided=episode)
+    found = result.finished(task, case, found_attack, values, wall_s, by_turn, episode)
     found["timings"]["simulation_s"] = None  # another program ran SUMO
     found["search"]["simulations"] = 0
     wrong = result.not_finite(found)
@@ -315,7 +319,8 @@ def row(attack: LiveAttack, number: int, simulation: int) -> dict[str, Any]:
     rollout = attack.rollout
     contact = rollout.first("av_opponent")
     plans = [plan.reason for plan in rollout.plans if plan.reason]
-    turn = rollout.turns[0]
+    turn = decisive(rollout.turns)
+    assert turn is not None
     return {
         "number": number,
         "simulation": simulation,

@@ -137,9 +137,9 @@ class Session:
 
     @property
     def attacking(self) -> AgentId | None:
-        """The opponent, while an attack goes on."""
+        """The opponent, while an attack goes on; of several the first."""
         attack = self._attack
-        return attack.opponent_id if attack is not None and attack.turn is None else None
+        return None if attack is None or attack.turns else attack.attackers[0]
 
     @property
     def engaged(self) -> bool:
@@ -148,8 +148,8 @@ class Session:
 
     @property
     def driving(self) -> set[AgentId]:
-        """The opponent, and those of earlier attacks on their way back to a lane."""
-        return {one.opponent_id for one in self._engaged() if one.opponent_id is not None}
+        """The attackers, and those of earlier attacks on their way back to a lane."""
+        return {agent for one in self._engaged() for agent in one.attackers}
 
     @property
     def paused(self) -> bool:
@@ -229,7 +229,7 @@ class Session:
         self._history.append(sighting)
         if self._attack is not None:
             self._attack.look(sighting)
-            if self._attack.turn is not None:
+            if self._attack.turns:
                 self._over()
         elif self._due():
             self._begin()
@@ -242,7 +242,7 @@ class Session:
 
     def hand_back(self) -> None:
         """End the current attack and begin no other; a step later the opponent is on its lane."""
-        if self._attack is not None and self._attack.turn is None:
+        if self._attack is not None and not self._attack.turns:
             self._attack.stop("time")
             self._over()
         for engagement in self._engaged():
@@ -299,7 +299,7 @@ class Session:
                 engagement.let_go()
             else:
                 engagement.forget()
-        self.undriven += self._attack is not None and self._attack.turn is None
+        self.undriven += self._attack is not None and not self._attack.turns
         self._attack, self._leaving = None, []
         self._teleported = self._asleep = False
         self._history.clear()
@@ -373,7 +373,7 @@ class Session:
         except RunError as error:
             self.last_failure = str(error)
             return
-        if attack.opponent_id is None:
+        if not attack.attackers:
             self.last_failure = "no vehicle around the AV can attack"
             return
         fired.used()
@@ -387,20 +387,21 @@ class Session:
     def _publish(self) -> None:
         """Report an attack that is over; its opponent may still be on its way back to a lane."""
         attack = self._attack
-        if attack is None or attack.turn is None:
+        if attack is None or not attack.turns:
             return
         self._attack = None
         if attack.leaving:
             self._leaving.append(attack)
         rollout = attack.rollout()
-        if attack.turn.last_step <= rollout.now:
+        last_step = max(one.last_step for one in attack.turns)
+        if last_step <= rollout.now:
             return  # it was stopped before its first step
         if not self._counts:
             self.undriven += 1
             return
         self.attacks += 1
-        end_s = self._begin_s + (attack.turn.last_step - rollout.now) * DT_S
-        self._ended_s[attack.turn.opponent_id] = end_s
+        end_s = self._begin_s + (last_step - rollout.now) * DT_S
+        self._ended_s |= dict.fromkeys(attack.attackers, end_s)
         self._finished(LiveAttack(begin_s=self._begin_s, end_s=end_s, rollout=rollout))
 
 

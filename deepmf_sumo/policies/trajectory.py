@@ -4,6 +4,7 @@ import csv
 import io
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
@@ -91,11 +92,11 @@ class Trajectory:
         else:
             self._first_step, self._poses = _read(Path(settings.file), settings.agent)
 
-    def reset(self, view: View, rng: np.random.Generator) -> AgentId:
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """The named opponent. Raises RunError if it is not in the view."""
-        return named(view, self._agent)
+        return (named(view, self._agent),)
 
-    def plan(self, view: View) -> Plan:
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
         """All poses after the view's step. Raises RunError if the next step has none."""
         first = view.step + 1 if self._first_step is None else self._first_step
         skipped = view.step + 1 - first
@@ -112,13 +113,14 @@ class Trajectory:
         led = bool((placed != poses[:, :3]).any())
         moved = np.diff(np.concatenate([before[None], placed[:, :2]]), axis=0)
         stated = None if led or poses.shape[1] < 4 else poses[:, 3]
-        return Plan(
+        plan = Plan(
             agent_id=self._agent,
             first_step=view.step + 1,
             position_m=placed[:, :2],
             heading_rad=frames.wrap(placed[:, 2]),
             speed_mps=np.hypot(*moved.T) / view.dt_s if stated is None else stated,
         )
+        return {self._agent: plan}
 
 
 def _begun(poses: Floats, view: View, row: int) -> Floats:

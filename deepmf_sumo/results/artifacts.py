@@ -48,7 +48,7 @@ def read_rollout(folder: Path, contacts: Sequence[Contact], ended: str) -> Rollo
         now=found.now,
         dt_s=DT_S,
         av_id=found.av_id,
-        opponent_id=found.opponent_id,
+        attackers=found.attackers,
         contacts=tuple(contacts),
         events=(),
         plans=_read_plans(folder / PLANS),

@@ -40,17 +40,17 @@ Measure = Callable[[Rollout, Case], list[MetricValue]]
 
 
 def decisive_part(rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
-    """The part that a run's numbers come from: the decisive turn, or the episode without turns."""
+    """What a run's numbers are of: the decisive turn, or the episode where one vehicle attacks."""
     chosen = decisive(rollout.turns)
     return (rollout, case) if chosen is None else _part(chosen, rollout, case)
 
 
 def judged(rollout: Rollout, case: Case, measure: Measure) -> list[dict[str, Any]] | None:
-    """All turns, each measured as a separate attack, as in ``result.json``.
+    """The attack of each vehicle, measured as a separate attack, as in ``result.json``.
 
-    None where one opponent attacks.
+    None where one vehicle attacks.
     """
-    if case.turns is None:
+    if case.turns is None and not rollout.turns:
         return None
     return [_turn(turn, rollout, case, measure) for turn in rollout.turns]
 
@@ -61,7 +61,7 @@ def hits(by_turn: Sequence[dict[str, Any]]) -> int:
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str | None:
-    """One row per turn of all runs, or None where no run had opponents in turn."""
+    """One row per turn of all runs, or None where no run had several attackers."""
     runs = [one for one in results if one.get("turns") is not None]
     if not runs:
         return None
@@ -80,10 +80,10 @@ def table(results: Sequence[Mapping[str, Any]]) -> str | None:
 
 def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
     """The turn, and the case with its longest duration: at most to the episode's end."""
-    assert case.turns is not None
-    left = rollout.now + case.duration_steps - turn.first_step
-    longest = round(case.turns.longest_s / rollout.dt_s)
-    return rollout.of_turn(turn), replace(case, duration_steps=min(left, longest))
+    steps = rollout.now + case.duration_steps - turn.first_step
+    if case.turns is not None:
+        steps = min(steps, round(case.turns.longest_s / rollout.dt_s))
+    return rollout.of_turn(turn), replace(case, duration_steps=steps)
 
 
 def counterfactual_of(rollout: Rollout, case: Case) -> Counterfactual | None:
@@ -203,7 +203,7 @@ class Result(TypedDict, total=False):
             those for a finding, what each was: ``miss`` or the rung of its hit.
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
-        turns: where opponents take turns.
+        turns: the attack of each vehicle, where several attack together or in turn.
     """
 
     run_id: Required[str]
@@ -325,7 +325,7 @@ def finished(
 ) -> Result:
     """The result of a successful run.
 
-    ``metrics`` are of the decisive turn where opponents attack in turn, ``by_turn`` all turns.
+    ``metrics`` are of the decisive turn where several vehicles attack, ``by_turn`` of all turns.
     ``decided``: the decisive part with what is known of it already.
     """
     rollout = attack.rollout

@@ -30,23 +30,22 @@ class RecordedTracks:
         tracks: velocities lie along the headings, heights of vehicles are 0.
         driver: (A, T) `datatypes.Driver`.
         now: step at which the simulation took over.
-        opponent_id: None where no vehicle attacked, or the opponent was not asked for.
+        attackers: as of `Rollout`; those that were asked for.
     """
 
     tracks: Tracks
     driver: NDArray[np.uint8]
     now: int
     av_id: str
-    opponent_id: str | None
+    attackers: tuple[str, ...]
 
 
 def write_tracks(path: Path, rollout: Rollout) -> None:
     """One row per agent and step; time 0 is the step at which the simulation took over."""
     tracks = rollout.tracks
-    roles = {rollout.opponent_id: "opponent", rollout.av_id: "av"}
     drivers = {int(driver): driver.name.lower() for driver in Driver}
     who = [
-        f"{_quoted(agent_id)},{kind},{roles.get(agent_id, 'other')}"
+        f"{_quoted(agent_id)},{kind},{rollout.roles.get(agent_id, 'other')}"
         for agent_id, kind in zip(tracks.ids, tracks.kinds, strict=True)
     ]
     size = [f"{length:.3f},{width:.3f}" for length, width, _ in tracks.size_m]
@@ -85,7 +84,7 @@ def read_tracks(file: Path, vehicles: Sequence[str] | None = None) -> RecordedTr
         table = pd.read_csv(lines, dtype={"id": str}, keep_default_na=False)
     if vehicles is not None:
         table = table[(table["role"] == "av") | table["id"].isin(vehicles)]
-    roles = {role: str(rows["id"].iloc[0]) for role, rows in table.groupby("role")}
+    of_role = {role: tuple(rows["id"].unique()) for role, rows in table.groupby("role")}
     ids = tuple(table["id"].unique())
     place = pd.Series(np.arange(len(ids)), index=ids)
     row, step = place[table["id"]].to_numpy(), table["step"].to_numpy()
@@ -116,8 +115,8 @@ def read_tracks(file: Path, vehicles: Sequence[str] | None = None) -> RecordedTr
         ),
         driver=driver,
         now=int(step[np.abs(table["time_s"].to_numpy()).argmin()]),
-        av_id=roles["av"],
-        opponent_id=roles.get("opponent"),
+        av_id=of_role["av"][0],
+        attackers=of_role.get("opponent", ())[:1] + of_role.get("attacker", ()),
     )
 
 

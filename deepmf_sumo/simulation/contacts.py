@@ -38,7 +38,7 @@ _APART_M = 0.25
 
 
 class Judge:
-    """Finds the first contact of the AV and of the opponent with every other agent.
+    """Finds the first contact of the AV and of each attacker with every other agent.
 
     A contact is an overlap into which a pair has driven. A pair that begins to overlap at the first
     frame, in the frame in which one of the two appears, or in the step in which one of the two
@@ -47,11 +47,10 @@ class Judge:
     counts once.
     """
 
-    def __init__(self, av_id: AgentId, opponent_id: AgentId | None) -> None:
+    def __init__(self, av_id: AgentId, attackers: tuple[AgentId, ...]) -> None:
         self.contacts: list[Contact] = []
         self.events: list[Event] = []
-        self._drivers: list[AgentId] = [av_id] if opponent_id is None else [av_id, opponent_id]
-        self._av, self.opponent_id = av_id, opponent_id
+        self._av, self.attackers = av_id, attackers
         self._counted: set[Pair] = set()
         self._excused: set[Pair] = set()
         self._before: Frame | None = None
@@ -70,25 +69,28 @@ class Judge:
         """Whether a pair overlaps, or nearly does, without a contact."""
         return bool(self._excused)
 
-    def hit(self, step: int) -> bool:
-        """Whether the AV and the opponent came into contact at a step."""
-        return any(one.kind == "av_opponent" and one.step == step for one in self.contacts)
+    def hits(self, step: int) -> list[AgentId]:
+        """The attackers that came into contact with the AV at a step."""
+        return [
+            one.second_id for one in self.contacts if one.kind == "av_opponent" and one.step == step
+        ]
 
-    def turn_to(self, opponent_id: AgentId | None, step: int, frame: Frame, size_m: Floats) -> None:
-        """Judge for another opponent from here on, as if the episode began with this frame.
+    def turn_to(
+        self, attackers: tuple[AgentId, ...], step: int, frame: Frame, size_m: Floats
+    ) -> None:
+        """Judge for other attackers from here on, as if the episode began with this frame.
 
         Pairs that are apart by now may come into contact again.
         """
-        self.opponent_id = opponent_id
-        self._drivers = [self._av] if opponent_id is None else [self._av, opponent_id]
+        self.attackers = attackers
         self._excused |= self._counted & {pair for *_, pair in self._overlapping(frame, size_m)}
         self._counted.clear()
         self._before = None
         self.look(step, frame, size_m)
 
     def _overlapping(self, frame: Frame, size_m: Floats) -> Iterator[tuple[int, int, Pair]]:
-        """Row of the AV or the opponent, row of the other agent, and the ids of the pair."""
-        for mine in self._drivers:
+        """Row of the AV or an attacker, row of the other agent, and the ids of the pair."""
+        for mine in (self._av, *self.attackers):
             if mine not in frame.ids:
                 continue
             me = frame.ids.index(mine)
@@ -125,7 +127,7 @@ class Judge:
     def _kind(self, mine: AgentId, theirs: AgentId) -> ContactKind:
         if mine != self._av:
             return "opponent_other"
-        return "av_opponent" if theirs == self.opponent_id else "av_other"
+        return "av_opponent" if theirs in self.attackers else "av_other"
 
     def _contact(
         self, step: int, frame: Frame, before: Frame, size_m: Floats, me: int, other: int

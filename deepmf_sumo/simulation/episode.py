@@ -24,8 +24,8 @@ from deepmf_sumo.simulation.world import World
 class Observer(Protocol):
     """Watches an episode, e.g. to show it; changes nothing in it."""
 
-    def on_step(self, frame: Frame, opponent: AgentId | None) -> None:
-        """A step has happened, in which a policy could drive the opponent."""
+    def on_step(self, frame: Frame, attackers: Sequence[AgentId]) -> None:
+        """A step has happened, in which a policy could drive the attackers."""
         ...
 
     def on_end(self) -> None:
@@ -47,12 +47,12 @@ def simulate(
     Args:
         case: the AV, the start, the duration, and what drives the other agents.
         planner: drives the AV.
-        policy: drives an opponent of its choice, or several in turn; None: no attack.
+        policy: drives the opponents of its choice; None: no attack.
         rng: for the policy. SUMO and the planner have the case's seed, in the process and outside,
             so a planner's random numbers do not depend on the attack.
         gui: show the episode in sumo-gui.
         backend: how SUMO is run; None: libsumo, or sumo-gui if ``gui``, or no SUMO at all if
-            nothing would react to the opponent (`log_only`).
+            nothing would react to the attack (`log_only`).
 
     Raises SimulationError if SUMO refuses something or the AV is absent at the start, PlannerError
     if the planner fails.
@@ -91,7 +91,7 @@ def run(
     rng: np.random.Generator,
     observers: Sequence[Observer] = (),
 ) -> Rollout:
-    """The loop: plan, drive, step and record until AV and opponent touch or the time is over."""
+    """The loop: plan, drive, step and record until a hit ends it or the time is over."""
     seconds: dict[str, float] = defaultdict(float)
     with _timed(seconds, "policy"):
         record = _begun(case, world, policy, rng)
@@ -104,11 +104,11 @@ def run(
             view = record.view(world.av.path())
             command = planner.act(view)
         with _timed(seconds, "simulation"):
-            attacker = record.schedule.attacker
+            attackers = record.schedule.attackers
             frame = world.step(command, record.schedule.advance(record.step + 1))
             over = record.add(frame)
         for observer in observers:
-            observer.on_step(frame, attacker)
+            observer.on_step(frame, attackers)
         leaders.append(world.av.leaders)
         lights.append(view.signals)
         if over:
@@ -127,7 +127,7 @@ def run(
 def _begun(
     case: Case, world: World, policy: Policy | None, rng: np.random.Generator
 ) -> EpisodeRecord:
-    """The record of the history, with the first opponent."""
+    """The record of the history, with the first attack."""
     history = world.history()
     recorder = Recorder(len(history) + case.duration_steps, world.body)
     for frame in history:

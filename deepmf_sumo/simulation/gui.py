@@ -1,6 +1,7 @@
 """An episode in sumo-gui, which follows the AV in real time."""
 
 import time
+from collections.abc import Sequence
 from typing import Final
 
 from deepmf_sumo.datatypes import DT_S, AgentId
@@ -17,18 +18,18 @@ _LAST_LOOK_S: Final = 2.0
 
 
 class Window:
-    """Observer of an episode in sumo-gui: the AV is red, the opponent orange."""
+    """Observer of an episode in sumo-gui: the AV is red, its opponents are orange."""
 
     def __init__(self, api: SumoApi, av: AgentId) -> None:
         self._api = api
         self._av = av
         self._due = time.monotonic()
         self._followed = False
-        self._opponent: AgentId | None = None
+        self._opponents: Sequence[AgentId] = ()
 
-    def on_step(self, frame: Frame, opponent: AgentId | None) -> None:  # noqa: ARG002 - SUMO shows it
+    def on_step(self, frame: Frame, attackers: Sequence[AgentId]) -> None:  # noqa: ARG002 - SUMO shows it
         """Colour the vehicles, and wait until the step is over in real time."""
-        self._show(opponent)
+        self._show(attackers)
         now = time.monotonic()
         self._due = max(self._due + DT_S, now)  # time spent on planning is not caught up
         time.sleep(self._due - now)
@@ -37,14 +38,16 @@ class Window:
         """Leave the end on the screen for a moment."""
         time.sleep(_LAST_LOOK_S)
 
-    def _show(self, opponent: AgentId | None) -> None:
+    def _show(self, opponents: Sequence[AgentId]) -> None:
         vehicle, gui = self._api.vehicle, self._api.gui
         there = set(vehicle.getIDList())
-        if opponent != self._opponent and self._opponent in there:
-            vehicle.setColor(self._opponent, _FORMER_OPPONENT_COLOUR)
-        self._opponent = opponent
-        if opponent in there:
-            vehicle.setColor(opponent, _OPPONENT_COLOUR)
+        for one in self._opponents:
+            if one not in opponents and one in there:
+                vehicle.setColor(one, _FORMER_OPPONENT_COLOUR)
+        self._opponents = opponents
+        for one in opponents:
+            if one in there:
+                vehicle.setColor(one, _OPPONENT_COLOUR)
         if self._av not in there:
             return
         vehicle.setColor(self._av, _AV_COLOUR)

@@ -1,4 +1,4 @@
-"""An episode in which only the opponent does something new: it needs no SUMO.
+"""An episode in which only the attackers do something new: it needs no SUMO.
 
 Where the traffic replays the log and the AV does the same whatever happens (`FixedPlanner`), SUMO
 would only move vehicles along known poses. The episode is put together here, all steps up to the
@@ -7,6 +7,7 @@ the loop over SUMO, without the events that tell where SUMO has the AV.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -74,31 +75,32 @@ def run(
 
 def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     """All steps up to the next plan or to the contact that ends the episode; whether one does."""
-    first, schedule = record.step + 1, record.schedule
+    first, schedule, judge = record.step + 1, record.schedule, record.judge
     stop = next((step for step in range(first, record.end) if schedule.due(step)), record.end)
     poses = {step: schedule.advance(step) for step in range(first, stop + 1)}
-    opponent = schedule.opponent_id
-    if opponent is not None:
-        own = {step: placed[opponent] for step, placed in poses.items()}
-        world.drive(opponent, {step: pose for step, pose in own.items() if pose is not None})
-    begins, looked = world.new_overlaps(opponent, first, stop + 1), -1
+    for agent in schedule.attackers:
+        own = {step: placed[agent] for step, placed in poses.items()}
+        world.drive(agent, {step: pose for step, pose in own.items() if pose is not None})
+    begins, looked = world.new_overlaps(schedule.attackers, first, stop + 1), -1
+    several = len(schedule.attackers) > 1
     for step in range(first, stop + 1):
         # a pair that overlaps without a contact is judged at each step, for it may come apart
-        if step not in begins and not record.judge.excuses:
+        if step not in begins and not judge.excuses and not several:
             continue
         for look in (step,) if looked == step - 1 else (step - 1, step):
             frame = world.frame(look)
-            record.judge.look(look, frame, world.sizes_m(frame.ids))
+            size_m = world.sizes_m(frame.ids)
+            judge.look(look, frame, size_m)
         looked = step
-        if record.judge.hit(step):
+        if schedule.after_step(step, frame, size_m, judge.hits(step)):
             stop = step
             break
     record.recorder.extend(*world.states(first, stop + 1))
-    return record.judge.hit(stop)
+    return bool(judge.hits(stop))
 
 
 class _LogOnly:
-    """The log, with the AV on its poses and the opponent on those that it is given.
+    """The log, with the AV on its poses and the attackers on those that they are given.
 
     Args:
         case: with a recording.
@@ -117,15 +119,15 @@ class _LogOnly:
         after = np.arange(len(av_poses)) + self.now + 1
         self._drive(self._av, after, av_poses, av_poses[:, 2], Driver.PLANNER)
 
-    def drive(self, opponent: AgentId, poses: dict[int, Pose]) -> None:
-        """Put the opponent on poses, by step."""
+    def drive(self, attacker: AgentId, poses: dict[int, Pose]) -> None:
+        """Put an attacker on poses, by step."""
         if not poses:
             return
         table = [[at.x_m, at.y_m, at.heading_rad, at.speed_mps] for at in poses.values()]
         course = [
             at.heading_rad if at.course_rad is None else at.course_rad for at in poses.values()
         ]
-        row, steps = self._tracks.row(opponent), np.array(list(poses))
+        row, steps = self._tracks.row(attacker), np.array(list(poses))
         self._drive(row, steps, np.array(table), np.array(course), Driver.POLICY)
 
     def frame(self, step: int) -> Frame:
@@ -161,14 +163,14 @@ class _LogOnly:
         """Kind and size as recorded."""
         return recorded_body(self._tracks, self._tracks.row(agent))
 
-    def new_overlaps(self, opponent: AgentId | None, first: int, stop: int) -> set[int]:
-        """Steps before ``stop`` at which AV or opponent begin to overlap another agent."""
+    def new_overlaps(self, attackers: Sequence[AgentId], first: int, stop: int) -> set[int]:
+        """Steps before ``stop`` at which AV or attackers begin to overlap another agent."""
         found: set[int] = set()
         span = slice(first - 1, stop)
         there = self._driver[:, span] != Driver.NOBODY
         state = self._state[:, span]
         reach = np.hypot(*self._size_m.T) / 2
-        for me in {self._av} if opponent is None else {self._av, self._tracks.row(opponent)}:
+        for me in (self._av, *map(self._tracks.row, attackers)):
             away = np.hypot(*np.moveaxis(state[:, :, :2] - state[me, :, :2], -1, 0))
             near = there & there[me] & (away <= (reach + reach[me])[:, None])
             near[me] = False

@@ -175,7 +175,7 @@ class EpisodeRecord:
         self.recorder, self.frame = recorder, frame
         self.now, self.end = recorder.step, recorder.step + duration_steps
         self.schedule = schedule(self.view())
-        self.judge = Judge(av_id, self.schedule.attacker)
+        self.judge = Judge(av_id, self.schedule.attackers)
         self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
 
     @property
@@ -189,20 +189,20 @@ class EpisodeRecord:
         return self.recorder.view(self._av, self._road, self._signals(), left, av_path_m)
 
     def replan(self) -> None:
-        """Let the policy choose an opponent or plan, if that is due."""
+        """Let the policy choose attackers or plan, if that is due."""
         if self.schedule.due(self.step):
             self.schedule.replan(self.view())
-        if self.schedule.attacker != self.judge.opponent_id:
+        if self.schedule.attackers != self.judge.attackers:
             size_m = self.recorder.sizes_m(self.frame.ids)
-            self.judge.turn_to(self.schedule.attacker, self.step, self.frame, size_m)
+            self.judge.turn_to(self.schedule.attackers, self.step, self.frame, size_m)
 
     def add(self, frame: Frame) -> bool:
-        """Record and judge a step; returns whether AV and opponent have ended the episode."""
+        """Record and judge a step; returns whether AV and an attacker have ended the episode."""
         self.recorder.add(frame)
         self.frame = frame
         size_m, step = self.recorder.sizes_m(frame.ids), self.step
         self.judge.look(step, frame, size_m)
-        return self.schedule.after_step(step, frame, size_m, hit=self.judge.hit(step))
+        return self.schedule.after_step(step, frame, size_m, self.judge.hits(step))
 
     def rollout(
         self,
@@ -223,7 +223,7 @@ class EpisodeRecord:
             now=self.now,
             dt_s=DT_S,
             av_id=self._av,
-            opponent_id=self.schedule.opponent_id,
+            attackers=self.schedule.of_episode,
             contacts=tuple(self.judge.contacts),
             events=tuple(
                 sorted([*events, *planned, *self.judge.events], key=lambda event: event.step)

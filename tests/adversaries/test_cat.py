@@ -10,6 +10,7 @@ from deepmf_sumo.datatypes import Budget, Futures
 from deepmf_sumo.predictors import weights
 
 from tests.support.driven_world import World, driven_limits
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles
 from tests.support.rollout_doubles import case_of
 
@@ -112,7 +113,7 @@ def test_it_remembers_the_last_rollouts(doubles):
     world = World(av_y_m=(0.0, -60.0, 60.0, -60.0))
     values = {"goal_candidates": 0, "memory": 2}
     found = attack(world, values, Budget(simulations=4))
-    plans = [policy.plan(world.view) for policy in world.policies[1:]]
+    plans = [plan_of(policy, world.view) for policy in world.policies[1:]]
     assert [plan.reason.collides.shape[1] for plan in plans] == [1, 2, 2]
     seen = [
         reaction.futures.position_m[:, 0, 1].tolist()

@@ -5,6 +5,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Budget
 from deepmf_sumo.predictors import weights
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, rollout_of, straight
 
@@ -22,8 +23,8 @@ class Simulation:
         self.policies.append(policy)
         if policy is None:
             return rollout_of(PATHS, opponent_id=None)
-        opponent = policy.reset(VIEW, np.random.default_rng(0))
-        return rollout_of(PATHS, opponent_id=opponent, plans=[policy.plan(VIEW)])
+        (opponent,) = policy.reset(VIEW, np.random.default_rng(0))
+        return rollout_of(PATHS, opponent_id=opponent, plans=[plan_of(policy, VIEW)])
 
 
 def attack(name, values, case=None, weights_name="open"):
@@ -69,7 +70,7 @@ def test_deepmf_loads_its_predictors_once_and_late(loads):
 
 def test_deepmf_attacks_the_labelled_partner(loads):
     _, simulate = attack("deepmf", {"opponent": "labelled"}, case_of(partner_id="b"))
-    assert simulate.policies[0].reset(VIEW, np.random.default_rng(0)) == "b"
+    assert simulate.policies[0].reset(VIEW, np.random.default_rng(0)) == ("b",)
 
 
 def test_nobody_attacks():

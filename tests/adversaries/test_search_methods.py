@@ -16,6 +16,7 @@ from deepmf_sumo.planners import idm
 from deepmf_sumo.simulation import network_case, simulate
 
 from tests.support import tiny_network
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
@@ -34,11 +35,11 @@ class World:
 
     def __call__(self, policy):
         self.episodes += 1
-        opponent = policy.reset(self.view, np.random.default_rng(0)) if policy else None
+        chosen = policy.reset(self.view, np.random.default_rng(0)) if policy else ()
         paths = {"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)}
-        if opponent is None:
+        if not chosen:
             return rollout_of(paths, opponent_id=None)
-        plan = policy.plan(self.view)
+        plan = plan_of(policy, self.view)
         self.plans.append(plan)
         paths["b"][11:] = np.column_stack([plan.position_m, plan.heading_rad])
         away = np.hypot(*(paths["b"][11:, :2] - paths["av"][11:, :2]).T).min()

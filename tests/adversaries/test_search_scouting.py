@@ -83,7 +83,7 @@ def test_after_the_end_of_the_rollout_nothing_is_valid():
 
 def test_nobody_to_attack():
     def simulate(policy):
-        assert policy.reset(view_of({"av": (0, 0, 0, 10.0)}), None) is None
+        assert policy.reset(view_of({"av": (0, 0, 0, 10.0)}), None) == ()
         return rollout_of({"av": straight(0, 0, 10)}, opponent_id=None)
 
     assert scout(case_of(), simulate, lambda view, rng: None) is None

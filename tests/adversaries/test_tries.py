@@ -12,6 +12,7 @@ from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.predictors import weights
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
@@ -32,8 +33,8 @@ class Simulation:
         self.hit, self.plans = hit or (), []
 
     def __call__(self, policy):
-        opponent = policy.reset(VIEW, np.random.default_rng(0))
-        plan = policy.plan(VIEW)
+        (opponent,) = policy.reset(VIEW, np.random.default_rng(0))
+        plan = plan_of(policy, VIEW)
         self.plans.append(plan)
         paths = {name: straight(x, y, v) for name, (x, y, _, v) in AGENTS.items()}
         begin = VIEW.step + 1

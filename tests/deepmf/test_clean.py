@@ -13,6 +13,7 @@ from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.situation import Others, Situation
 from deepmf_sumo.geometry import boxes
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import rollout_of, straight
 
@@ -26,7 +27,7 @@ def reason_of(agents, **values):
     made = build(settings, Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view).reason
+    return plan_of(made, view).reason
 
 
 def before_contact(reason):

@@ -8,6 +8,7 @@ from deepmf_sumo.deepmf import constraints, policy
 from deepmf_sumo.deepmf.constraints import Mask
 from deepmf_sumo.deepmf.scoring import Objective, Pairs
 
+from tests.support import one_attacker
 from tests.support.predictor_doubles import Doubles, view_of
 
 BESIDE = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
@@ -19,7 +20,7 @@ def plan_of(agents, **values):
     made = policy.build(settings, Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view)
+    return one_attacker.plan_of(made, view)
 
 
 def choice(lawful, collides=(True, True, False), fair=None, rule="expected"):
@@ -94,14 +95,14 @@ def test_an_opponent_without_lawful_ways_to_the_av_is_not_chosen():
     settings = plugins.settings("policies", "deepmf", {"tried_opponents": 4, "lawful": True})
     made = policy.build(settings, Doubles())
     view = view_of(agents)
-    opponent = made.reset(view, np.random.default_rng(0))
-    plan = made.plan(view)
+    (opponent,) = made.reset(view, np.random.default_rng(0))
+    plan = one_attacker.plan_of(made, view)
     assert plan.agent_id == opponent
     every = {}
     for name in ("behind", "beside"):
         alone = policy.build(replace_opponent(settings, name), Doubles())
         alone.reset(view, np.random.default_rng(0))
-        every[name] = alone.plan(view).reason.wished_mass.max()
+        every[name] = one_attacker.plan_of(alone, view).reason.wished_mass.max()
     assert every[opponent] == max(every.values())
 
 

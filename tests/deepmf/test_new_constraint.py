@@ -10,6 +10,7 @@ from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.results import artifacts
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
@@ -33,7 +34,7 @@ def first_plan(**values):
     made = build(plugins.settings("policies", "deepmf", values), Doubles())
     view = view_of(AGENTS)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view)
+    return plan_of(made, view)
 
 
 def test_a_new_constraint_narrows_the_choice_and_is_recorded(known):

@@ -10,6 +10,7 @@ from deepmf_sumo.deepmf.candidates import collisions, rear_ends
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import Settings
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 
 CAR_M = np.array([4.8, 2.0])
@@ -59,7 +60,7 @@ def plan(agents, **values):
     made = build(plugins.settings("policies", "deepmf", values), Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view).reason
+    return plan_of(made, view).reason
 
 
 def test_a_follower_does_not_ram_and_others_still_attack():

@@ -19,6 +19,7 @@ from deepmf_sumo.deepmf.tracking import Limits, Start, track
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.geometry import impact
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, FanPredictor, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
@@ -35,7 +36,7 @@ def first_plan(view=None, **values):
     view = view or view_of(AGENTS)
     made = policy(**values)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view)
+    return plan_of(made, view)
 
 
 @pytest.mark.parametrize(
@@ -335,7 +336,7 @@ def test_what_was_fair_when_it_began_may_be_finished():
     made = policy(fair=True, opponent="b", rule="likeliest")
     view = view_of({"av": (0, 0, 0, 10.0), "b": (40, 3.5, 0, 9.0)})
     made.reset(view, np.random.default_rng(0))
-    first = made.plan(view)
+    first = plan_of(made, view)
     assert first.reason.rule == "likeliest"
     hit = first.reason.collides[first.reason.chosen]
     step = int(first.reason.collision_step[first.reason.chosen, hit].min())
@@ -348,7 +349,7 @@ def test_what_was_fair_when_it_began_may_be_finished():
         "av": (*reaction.position_m[av, at], float(reaction.heading_rad[av, at]), float(speed)),
         "b": (*first.position_m[at], float(first.heading_rad[at]), float(first.speed_mps[at])),
     }
-    second = made.plan(view_of(agents, step=11 + at, steps_left=70)).reason
+    second = plan_of(made, view_of(agents, step=11 + at, steps_left=70)).reason
     row = second.origin.index("tail")
     assert second.fair[row]
     assert second.collides[row].any()

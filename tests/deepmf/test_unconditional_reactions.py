@@ -7,6 +7,7 @@ import numpy as np
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.policy import build
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, FanPrediction, FanPredictor, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0)}
@@ -34,7 +35,7 @@ def plan_and_conditions(**values):
     policy = build(plugins.settings("policies", "deepmf", values), predictors)
     view = view_of(AGENTS)
     policy.reset(view, np.random.default_rng(0))
-    return policy.plan(view), predictors.conditional.given
+    return plan_of(policy, view), predictors.conditional.given
 
 
 def test_the_network_is_asked_without_condition_and_all_candidates_meet_the_same_av():

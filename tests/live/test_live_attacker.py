@@ -39,6 +39,7 @@ class Nobody:
 
     def reset(self, view, rng):
         self.asked += 1
+        return ()
 
 
 @pytest.fixture

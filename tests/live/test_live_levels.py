@@ -19,17 +19,20 @@ class North:
     period_steps = None
 
     def reset(self, view, rng):
-        return "over" if "over" in view.history.ids else None
+        return ("over",) if "over" in view.history.ids else ()
 
     def plan(self, view):
         row = view.history.row("over")
-        return Plan(
-            agent_id="over",
-            first_step=view.step + 1,
-            position_m=view.history.position_m[row, -1] + np.arange(1, 81)[:, None] * [0.0, 1.0],
-            heading_rad=np.full(80, np.pi / 2),
-            speed_mps=np.full(80, 10.0),
-        )
+        return {
+            "over": Plan(
+                agent_id="over",
+                first_step=view.step + 1,
+                position_m=view.history.position_m[row, -1]
+                + np.arange(1, 81)[:, None] * [0.0, 1.0],
+                heading_rad=np.full(80, np.pi / 2),
+                speed_mps=np.full(80, 10.0),
+            )
+        }
 
 
 @pytest.fixture

@@ -25,18 +25,19 @@ class Noting:
 
     def reset(self, view, rng):
         self.asked.append(("reset", self.within))
-        return "opponent"
+        return ("opponent",)
 
     def plan(self, view):
         self.asked.append(("plan", self.within))
+        return {}
 
 
 def test_choice_and_plans_are_made_with_one_thread():
     inner = Noting()
     policy = OneThread(inner, inner.one_thread)
     assert policy.period_steps == 20
-    assert policy.reset(None, np.random.default_rng(0)) == "opponent"
-    assert policy.plan(None) is None
+    assert policy.reset(None, np.random.default_rng(0)) == ("opponent",)
+    assert policy.plan(None) == {}
     assert inner.asked == [("reset", True), ("plan", True)]
     assert not inner.within
 

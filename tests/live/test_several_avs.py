@@ -43,20 +43,24 @@ class Nearest:
             for row, one in enumerate(history.ids)
             if one != view.av_id
         }
-        self.opponent = min(distance, key=distance.get) if distance else None
-        return self.opponent
+        if not distance:
+            return ()
+        self.opponent = min(distance, key=distance.get)
+        return (self.opponent,)
 
     def plan(self, view):
         row = view.history.row(self.opponent)
         x, y = view.history.position_m[row, -1]
         speed = float(view.history.speed_mps[row, -1])
-        return Plan(
-            agent_id=self.opponent,
-            first_step=view.step + 1,
-            position_m=[(x + 0.1 * speed * step, y) for step in range(1, 81)],
-            heading_rad=[0.0] * 80,
-            speed_mps=[speed] * 80,
-        )
+        return {
+            self.opponent: Plan(
+                agent_id=self.opponent,
+                first_step=view.step + 1,
+                position_m=[(x + 0.1 * speed * step, y) for step in range(1, 81)],
+                heading_rad=[0.0] * 80,
+                speed_mps=[speed] * 80,
+            )
+        }
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.results import artifacts
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import rollout_of, straight
 
@@ -15,7 +16,7 @@ def saved(tmp_path, **values):
     policy = build(settings, Doubles())
     view = view_of({"av": (0, 0, 0, 10.0), "b": (12, 0, 0, 2.0)})
     policy.reset(view, np.random.default_rng(0))
-    plan = policy.plan(view)
+    plan = plan_of(policy, view)
     rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(12, 0, 2)}, plans=[plan])
     artifacts.write_plans(tmp_path / "plans.npz", rollout)
     with np.load(tmp_path / "plans.npz") as arrays:

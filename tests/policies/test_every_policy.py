@@ -6,6 +6,7 @@ import pytest
 from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Plan
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 
 # Settings without which a policy cannot be built; all others must have defaults.
@@ -21,8 +22,8 @@ def test_policy(name):
     policy = module.build(settings, Doubles(), None)
     period = policy.period_steps
     assert period is None or (isinstance(period, int) and period >= 1)
-    assert policy.reset(VIEW, np.random.default_rng(0)) in {"b", None}
-    plan = policy.plan(VIEW)
+    assert policy.reset(VIEW, np.random.default_rng(0)) in {("b",), ()}
+    plan = plan_of(policy, VIEW)
     assert isinstance(plan, Plan)
     assert (plan.agent_id, plan.first_step) == ("b", VIEW.step + 1)
     for values in (plan.position_m, plan.heading_rad, plan.speed_mps):

@@ -10,6 +10,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.policies import trajectory
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import view_of
 
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
@@ -42,9 +43,9 @@ def torn(content):
 
 def test_poses_are_driven_from_the_next_step():
     policy = build(agent="b", poses=poses().tolist())
-    assert policy.reset(VIEW, RNG) == "b"
+    assert policy.reset(VIEW, RNG) == ("b",)
     assert policy.period_steps is None
-    plan = policy.plan(VIEW)
+    plan = plan_of(policy, VIEW)
     assert (plan.first_step, len(plan.position_m)) == (11, 30)
     np.testing.assert_allclose(plan.position_m, poses()[:, :2])
     np.testing.assert_allclose(plan.speed_mps, 12.0)
@@ -56,7 +57,7 @@ def test_a_result_table_is_a_trajectory(tmp_path):
     for step in range(5, 40):
         lines += [f"{step},0,av,0,0,0,0", f"{step},0,b,{step - 18},3.5,0.125,10"]
     file.write_bytes(gzip.compress("\n".join(lines).encode()))
-    plan = build(agent="b", file=str(file)).plan(VIEW)
+    plan = plan_of(build(agent="b", file=str(file)), VIEW)
     assert (plan.first_step, len(plan.position_m)) == (11, 29)
     np.testing.assert_allclose(plan.position_m[0], [-7, 3.5])
     np.testing.assert_allclose(plan.heading_rad, 0.125)
@@ -66,7 +67,7 @@ def test_npz(tmp_path):
     file = tmp_path / "plan.npz"
     np.savez(file, step=np.arange(11, 41), position_m=poses()[:, :2], heading_rad=poses()[:, 2])
     np.testing.assert_allclose(
-        build(agent="b", file=str(file)).plan(VIEW).position_m, poses()[:, :2]
+        plan_of(build(agent="b", file=str(file)), VIEW).position_m, poses()[:, :2]
     )
 
 
@@ -119,9 +120,9 @@ def test_who_or_when_that_does_not_fit():
         build(agent="c", poses=poses().tolist()).reset(VIEW, RNG)
     for first in (12, 500):
         with pytest.raises(RunError, match="step 11"):
-            build(agent="b", poses=poses().tolist(), first_step=first).plan(VIEW)
+            plan_of(build(agent="b", poses=poses().tolist(), first_step=first), VIEW)
     with pytest.raises(RunError, match="step 11"):
-        build(agent="b", poses=poses(3).tolist(), first_step=2).plan(VIEW)
+        plan_of(build(agent="b", poses=poses(3).tolist(), first_step=2), VIEW)
 
 
 @pytest.mark.timeout(10)
@@ -135,7 +136,7 @@ def test_a_pipe_is_no_file_to_wait_for(tmp_path, name):
 def test_a_trajectory_that_begins_elsewhere_begins_where_the_vehicle_is():
     """At -8 m with 12 m/s; its poses begin 3 m beside it: 1.5 s later it is on them."""
     aside = poses() + np.array([0.0, 3.0, 0.0])
-    plan = build(agent="b", poses=aside.tolist()).plan(VIEW)
+    plan = plan_of(build(agent="b", poses=aside.tolist()), VIEW)
     before = np.array([[-8.0, 3.5]])
     steps = np.diff(np.concatenate([before, plan.position_m]), axis=0)
     assert np.abs(steps[:, 1]).max() < 0.32
@@ -147,16 +148,16 @@ def test_a_trajectory_that_begins_elsewhere_begins_where_the_vehicle_is():
 
 def test_one_that_begins_turned_or_far_away_takes_its_time():
     turned = poses() + np.array([0.0, 0.0, 1.0])
-    plan = build(agent="b", poses=turned.tolist()).plan(VIEW)
+    plan = plan_of(build(agent="b", poses=turned.tolist()), VIEW)
     assert plan.heading_rad[0] < 0.05
     np.testing.assert_allclose(plan.heading_rad[14:], 1.0)
     ahead = poses(60) + np.array([9.0, 0.0, 0.0])
-    plan = build(agent="b", poses=ahead.tolist()).plan(VIEW)
+    plan = plan_of(build(agent="b", poses=ahead.tolist()), VIEW)
     assert (np.diff(plan.position_m[:, 0]) / 0.1).max() < 12.0 + 1.5 * 3.0 + 0.1
     np.testing.assert_allclose(plan.position_m[29:], ahead[29:, :2])
     away = poses() + np.array([20.0, 0.0, 0.0])
     np.testing.assert_allclose(
-        build(agent="b", poses=away.tolist()).plan(VIEW).position_m, away[:, :2]
+        plan_of(build(agent="b", poses=away.tolist()), VIEW).position_m, away[:, :2]
     )
 
 
@@ -164,7 +165,7 @@ def test_one_that_begins_turned_or_far_away_takes_its_time():
 def test_speeds_that_are_stated_are_driven(tmp_path, kind):
     stated = np.full(30, 12.3)
     if kind == "poses":
-        plan = build(agent="b", poses=np.column_stack([poses(), stated]).tolist()).plan(VIEW)
+        plan = plan_of(build(agent="b", poses=np.column_stack([poses(), stated]).tolist()), VIEW)
     else:
         file = tmp_path / f"plan.{kind}"
         if kind == "npz":
@@ -176,7 +177,7 @@ def test_speeds_that_are_stated_are_driven(tmp_path, kind):
             lines = ["step,speed_mps,x_m,y_m,heading_rad"]
             lines += [f"{11 + row},12.3,{x},{y},{h}" for row, (x, y, h) in enumerate(poses())]
             file.write_text("\n".join(lines))
-        plan = build(agent="b", file=str(file)).plan(VIEW)
+        plan = plan_of(build(agent="b", file=str(file)), VIEW)
     np.testing.assert_allclose(plan.speed_mps, 12.3)
     np.testing.assert_allclose(plan.position_m, poses()[:, :2])
 

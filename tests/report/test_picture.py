@@ -10,6 +10,7 @@ from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.report.drawing import junctions
 from deepmf_sumo.report.picture import draw, happened
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
@@ -26,7 +27,7 @@ def plan():
     view = view_of({name: (*path[10], 10.0) for name, path in PATHS.items()})
     policy = build(Settings(candidates=8, reactions=3), Doubles())
     policy.reset(view, np.random.default_rng(0))
-    return policy.plan(view)
+    return plan_of(policy, view)
 
 
 def size(path):

@@ -55,7 +55,8 @@ def test_each_turn_is_measured_by_itself(rollout, case):
     assert (first["begin_s"], first["end_s"], first["ended"]) == (0.0, 4.0, "harmless")
     assert (second["outcome"], second["hit_speed_mps"]) == ("av_opponent", 4.5)
     assert (first["outcome"], first["hit_speed_mps"]) == ("none", None)
-    assert result.judged(rollout, replace(case, turns=None), measure) is None
+    alone = replace(rollout, turns=())
+    assert result.judged(alone, replace(case, turns=None), measure) is None
 
 
 def test_the_run_has_the_numbers_of_the_decisive_turn(rollout, case, task):
@@ -72,7 +73,7 @@ def test_the_run_has_the_numbers_of_the_decisive_turn(rollout, case, task):
 
 
 def test_without_any_turn_the_episode_itself_is_measured(rollout, case):
-    nobody = replace(rollout, turns=(), opponent_id=None)
+    nobody = replace(rollout, turns=(), attackers=())
     assert result.decisive_part(nobody, case) == (nobody, case)
     assert result.judged(nobody, case, measure) == []
 

@@ -21,7 +21,7 @@ def frame(**poses):
 
 
 def judged(*frames, opponent="ov", sizes=None):
-    judge = Judge("av", opponent)
+    judge = Judge("av", () if opponent is None else (opponent,))
     for step, one in enumerate(frames):
         size = np.array([(sizes or {}).get(name, CAR) for name in one.ids])
         judge.look(step, one, size)

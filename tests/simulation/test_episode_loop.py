@@ -65,25 +65,27 @@ class Aside:
     period_steps = None
 
     def reset(self, view, rng):
-        return "other"
+        return ("other",)
 
     def plan(self, view):
         steps = np.arange(1.0, 11.0)
-        return Plan(
-            agent_id="other",
-            first_step=view.step + 1,
-            position_m=np.stack([steps, 4.0 - 0.4 * steps], axis=1),
-            heading_rad=np.zeros(10),
-            speed_mps=np.full(10, 10.0),
-        )
+        return {
+            "other": Plan(
+                agent_id="other",
+                first_step=view.step + 1,
+                position_m=np.stack([steps, 4.0 - 0.4 * steps], axis=1),
+                heading_rad=np.zeros(10),
+                speed_mps=np.full(10, 10.0),
+            )
+        }
 
 
 class Watch:
     def __init__(self):
         self.seen, self.over = [], False
 
-    def on_step(self, frame, opponent):
-        self.seen.append((frame.ids, opponent))
+    def on_step(self, frame, attackers):
+        self.seen.append((frame.ids, attackers))
 
     def on_end(self):
         self.over = True
@@ -111,7 +113,7 @@ def test_contact_ends_it_and_observers_see_every_step():
     contact = rollout.first("av_opponent")
     assert rollout.ended == "contact"
     assert contact.step == NOW + world.steps == rollout.tracks.steps - 1
-    assert watch.seen == [(["av", "other"], "other")] * world.steps
+    assert watch.seen == [(["av", "other"], ("other",))] * world.steps
     assert watch.over
     row = rollout.tracks.row("other")
     assert (rollout.driver[row, NOW + 1 :] == Driver.POLICY).all()

@@ -28,14 +28,14 @@ def test_av_and_opponents_are_coloured_and_the_av_is_followed(monkeypatch):
         setSchema=lambda view, name: calls.append(name),
     )
     window = gui.Window(SimpleNamespace(vehicle=vehicle, gui=shown), "av")
-    window.on_step(EMPTY, "a")
+    window.on_step(EMPTY, ("a",))
     first = dict(colours)
     assert set(first) == {"av", "a"}
     assert calls == [(60.0, 10.0, 140.0, 90.0), "av", "real world"]
-    window.on_step(EMPTY, "b")
+    window.on_step(EMPTY, ("b",))
     assert colours["b"] == first["a"] != colours["a"]
     assert len(calls) == 3
     there.remove("b")
-    window.on_step(EMPTY, None)
+    window.on_step(EMPTY, ())
     window.on_end()
     assert slept == pytest.approx([0.1, 0.1, 0.1, 2.0])

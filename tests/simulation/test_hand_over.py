@@ -186,7 +186,7 @@ def test_the_way_on_keeps_to_its_lanes_at_a_junction():
 
 
 def judged(*frames):
-    judge = Judge("av", "ov")
+    judge = Judge("av", ("ov",))
     for step, (gap, driver) in enumerate(frames):
         poses = {
             "av": (Pose(x_m=0.0, y_m=0.0, heading_rad=0.0, speed_mps=0.0), Driver.PLANNER),

@@ -75,10 +75,11 @@ class Onlooker:
         self.seen = []
 
     def reset(self, view, rng):
-        return "runner"
+        return ("runner",)
 
     def plan(self, view):
         self.seen.append(view.signals)
+        return {}
 
 
 def test_lights_of_a_network_are_those_before_each_step():

@@ -39,21 +39,23 @@ class Swerve:
         self.sideways = sideways
 
     def reset(self, view, rng):
-        return "leader"
+        return ("leader",)
 
     def plan(self, view):
         row = view.history.row("leader")
         x, y = view.history.position_m[row, -1]
         speed = np.maximum(view.history.speed_mps[row, -1] - 0.3 * np.arange(1, 21), 0.0)
-        return Plan(
-            agent_id="leader",
-            first_step=view.step + 1,
-            position_m=np.column_stack(
-                [x + np.cumsum(speed) * 0.1, y + self.sideways * np.linspace(0.05, 1, 20)]
-            ),
-            heading_rad=np.zeros(20),
-            speed_mps=speed,
-        )
+        return {
+            "leader": Plan(
+                agent_id="leader",
+                first_step=view.step + 1,
+                position_m=np.column_stack(
+                    [x + np.cumsum(speed) * 0.1, y + self.sideways * np.linspace(0.05, 1, 20)]
+                ),
+                heading_rad=np.zeros(20),
+                speed_mps=speed,
+            )
+        }
 
 
 def test_history_is_what_sumo_drove_and_the_rest_follows_without_a_gap(config):

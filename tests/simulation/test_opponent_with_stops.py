@@ -33,16 +33,18 @@ class Along:
         self.points, self.heading = points, heading
 
     def reset(self, view, rng):
-        return "van"
+        return ("van",)
 
     def plan(self, view):
-        return Plan(
-            agent_id="van",
-            first_step=view.step + 1,
-            position_m=self.points,
-            heading_rad=self.heading,
-            speed_mps=np.full(len(self.points), 20.0),
-        )
+        return {
+            "van": Plan(
+                agent_id="van",
+                first_step=view.step + 1,
+                position_m=self.points,
+                heading_rad=self.heading,
+                speed_mps=np.full(len(self.points), 20.0),
+            )
+        }
 
 
 @pytest.mark.jumps("it is put 1 km farther on, off its route")

@@ -54,21 +54,23 @@ class FirstOfAll:
         self.seen.append((view.step, view.history.ids, view.steps_left))
         others = [agent for agent in view.history.ids if agent != "av"]
         self.opponent = others[0] if others else None
-        return self.opponent
+        return tuple(others[:1])
 
     def plan(self, view):
         self.seen.append((view.step, "plan", view.steps_left))
         reason = (
             None if self.collides is None else SimpleNamespace(collides=np.array([[self.collides]]))
         )
-        return Plan(
-            agent_id=self.opponent,
-            first_step=view.step + 1,
-            position_m=np.zeros((20, 2)),
-            heading_rad=np.zeros(20),
-            speed_mps=np.zeros(20),
-            reason=reason,
-        )
+        return {
+            self.opponent: Plan(
+                agent_id=self.opponent,
+                first_step=view.step + 1,
+                position_m=np.zeros((20, 2)),
+                heading_rad=np.zeros(20),
+                speed_mps=np.zeros(20),
+                reason=reason,
+            )
+        }
 
 
 def begun(policy=None, rules=RULES, agents=NEAR, steps_left=1000, taking=True):
@@ -76,12 +78,12 @@ def begun(policy=None, rules=RULES, agents=NEAR, steps_left=1000, taking=True):
     return AttackSchedule(policy or FirstOfAll(), seen, rng, rules, Owner(taking=taking))
 
 
-def go_on(turns, step, agents=NEAR, hit=False):
+def go_on(turns, step, agents=NEAR, hits=()):
     """One round of the loop; whether the episode is over."""
     if turns.due(step):
         turns.replan(view(agents, step, 1000 - step))
     turns.advance(step + 1)
-    return turns.after_step(step + 1, *frame(agents), hit=hit)
+    return turns.after_step(step + 1, *frame(agents), hits)
 
 
 def test_one_opponent_is_the_whole_episode():
@@ -89,8 +91,8 @@ def test_one_opponent_is_the_whole_episode():
     turns = begun(policy, rules=None)
     far = {**NEAR, "a": (500, 0, 0, 10)}
     assert not any(go_on(turns, step, far) for step in range(NOW, NOW + 90))
-    assert (turns.attacker, turns.opponent_id) == ("a", "a")
-    assert go_on(turns, NOW + 90, hit=True)
+    assert (turns.attackers, turns.of_episode) == (("a",), ("a",))
+    assert go_on(turns, NOW + 90, hits=["a"])
     turns.finish(NOW + 91, "contact")
     assert turns.closed == ()
     assert [seen[2] for seen in policy.seen[:2]] == [1000, 990]
@@ -99,17 +101,17 @@ def test_one_opponent_is_the_whole_episode():
 def test_who_hit_is_let_go_for_a_step_and_another_one_attacks():
     policy = FirstOfAll()
     turns = begun(policy)
-    assert not go_on(turns, NOW, hit=True)
+    assert not go_on(turns, NOW, hits=["a"])
     (turn,) = turns.closed
     assert (turn.opponent_id, turn.first_step, turn.last_step) == ("a", NOW, NOW + 1)
     assert (turn.ended, turn.gap_m) == ("contact", 0.0)
-    assert (turns.attacker, turns.leaving, turns.due(NOW + 1)) == (None, True, False)
+    assert (turns.attackers, turns.leaving, turns.due(NOW + 1)) == ((), True, False)
     assert turns.advance(NOW + 2) == {"a": None}  # its next owner takes it
     assert not turns.leaving
     assert turns.advance(NOW + 3) == {}
     assert [step for step in range(NOW, NOW + 12) if turns.due(step)] == [NOW + 11]
     go_on(turns, NOW + 11)
-    assert turns.attacker == "b"
+    assert turns.attackers == ("b",)
     assert policy.seen[2][1] == ("av", "b")
 
 
@@ -117,8 +119,8 @@ def test_the_spent_one_is_chosen_again_where_nobody_else_is_there():
     turns = begun(agents={"av": (0, 0, 0, 10), "a": (12, 0, 0, 10)})
     alone = {"av": (0, 0, 0, 10), "a": (12, 0, 0, 10)}
     for step in range(NOW, NOW + 12):
-        go_on(turns, step, alone, hit=step == NOW)
-    assert turns.attacker == "a"
+        go_on(turns, step, alone, hits=["a"] if step == NOW else ())
+    assert turns.attackers == ("a",)
 
 
 @pytest.mark.parametrize(
@@ -145,18 +147,18 @@ def test_when_an_opponent_is_spent(ended, policy, agents, after):
 def test_the_av_is_given_time_to_be_clear_of_others_but_not_for_ever():
     touching = {**NEAR, "a": (3, 0, 0, 10)}
     turns = begun(rules=replace(RULES, clear_s=3.0))
-    go_on(turns, NOW, touching, hit=True)
+    go_on(turns, NOW, touching, hits=["a"])
     for step in range(NOW + 1, NOW + 31):
         go_on(turns, step, touching)
-        assert turns.attacker is None
+        assert turns.attackers == ()
     go_on(turns, NOW + 31, touching)
-    assert turns.attacker == "b"
+    assert turns.attackers == ("b",)
 
 
 def test_who_touches_the_av_is_not_chosen_for_it_cannot_hit_it_any_more():
     policy = FirstOfAll()
-    assert begun(policy, agents={**NEAR, "a": (3, 0, 0, 10)}).attacker == "b"
-    assert begun(policy, agents={"av": NEAR["av"], "a": (3, 0, 0, 10)}).attacker is None
+    assert begun(policy, agents={**NEAR, "a": (3, 0, 0, 10)}).attackers == ("b",)
+    assert begun(policy, agents={"av": NEAR["av"], "a": (3, 0, 0, 10)}).attackers == ()
 
 
 def test_turns_end_with_the_time_of_a_turn_and_none_begins_near_the_end():
@@ -166,16 +168,16 @@ def test_turns_end_with_the_time_of_a_turn_and_none_begins_near_the_end():
     assert [left for _, _, left in policy.seen] == [50, 50]
     turns.finish(NOW + 1, "time")
     assert turns.closed[0].ended == "time"
-    assert begun(steps_left=29).attacker is None
+    assert begun(steps_left=29).attackers == ()
 
 
 def test_nobody_to_attack_is_asked_for_again_a_second_later():
     policy = FirstOfAll()
     turns = begun(policy, agents={"av": (0, 0, 0, 10)})
-    assert (turns.attacker, turns.opponent_id) == (None, None)
+    assert (turns.attackers, turns.of_episode) == ((), ())
     assert [step for step in range(NOW, NOW + 11) if turns.due(step)] == [NOW + 10]
     go_on(turns, NOW + 10)
-    assert turns.attacker == "a"
+    assert turns.attackers == ("a",)
 
 
 def test_the_first_hit_is_decisive_else_the_nearest_miss():
@@ -223,7 +225,7 @@ class Ram:
         away = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[tracks.row("av"), -1]).T)
         near = [row for row in np.argsort(away, kind="stable") if 0 < away[row] < 25]
         self.opponent = tracks.ids[near[0]] if near else None
-        return self.opponent
+        return (self.opponent,) if near else ()
 
     def plan(self, view):
         tracks = view.history
@@ -233,13 +235,15 @@ class Ram:
         share = np.linspace(0.1, 1, 10)[:, None]
         here = tracks.position_m[me, -1]
         position = here + share * (target - here)
-        return Plan(
-            agent_id=self.opponent,
-            first_step=view.step + 1,
-            position_m=position,
-            heading_rad=np.zeros(10),
-            speed_mps=np.full(10, np.hypot(*(target - here))),
-        )
+        return {
+            self.opponent: Plan(
+                agent_id=self.opponent,
+                first_step=view.step + 1,
+                position_m=position,
+                heading_rad=np.zeros(10),
+                speed_mps=np.full(10, np.hypot(*(target - here))),
+            )
+        }
 
 
 def episode(config, policy, rules=RULES, start_s=3.0, steps=100):

@@ -77,19 +77,21 @@ class Bend:
         self.agent, self.slip_rad, self.views = agent, slip_rad, []
 
     def reset(self, view, rng):
-        return self.agent
+        return (self.agent,)
 
     def plan(self, view):
         self.views.append(view)
         angle = 0.02 * (view.step - NOW + np.arange(1, 81))
         position = np.column_stack([100 + 50 * np.sin(angle), 40 - 50 * np.cos(angle)])
-        return Plan(
-            agent_id=self.agent,
-            first_step=view.step + 1,
-            position_m=position,
-            heading_rad=angle - self.slip_rad,
-            speed_mps=np.full(80, 10.0),
-        )
+        return {
+            self.agent: Plan(
+                agent_id=self.agent,
+                first_step=view.step + 1,
+                position_m=position,
+                heading_rad=angle - self.slip_rad,
+                speed_mps=np.full(80, 10.0),
+            )
+        }
 
 
 def braking_motion(x, y, speed, decel):

@@ -53,18 +53,20 @@ class Follow:
 
     def reset(self, view, rng):
         self.views.append(view)
-        return self.agent
+        return (self.agent,)
 
     def plan(self, view):
         self.views.append(view)
         x, y, heading, speed = self.motion.T
-        return Plan(
-            agent_id=self.agent,
-            first_step=view.step + 1,
-            position_m=np.column_stack([x, y]),
-            heading_rad=heading,
-            speed_mps=speed,
-        )
+        return {
+            self.agent: Plan(
+                agent_id=self.agent,
+                first_step=view.step + 1,
+                position_m=np.column_stack([x, y]),
+                heading_rad=heading,
+                speed_mps=speed,
+            )
+        }
 
 
 @pytest.fixture(scope="module")

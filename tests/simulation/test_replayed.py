@@ -37,7 +37,7 @@ class Towards:
         self.views = []
 
     def reset(self, view, rng):
-        return self.agent
+        return (self.agent,)
 
     def plan(self, view):
         self.views.append(view)
@@ -47,13 +47,15 @@ class Towards:
         )
         share = np.arange(1, self.steps + 1)[:, None] / self.steps
         way = there - here
-        return Plan(
-            agent_id=self.agent,
-            first_step=view.step + 1,
-            position_m=here + share * way,
-            heading_rad=np.full(self.steps, np.arctan2(way[1], way[0])),
-            speed_mps=np.full(self.steps, np.hypot(*way) / self.steps * 10),
-        )
+        return {
+            self.agent: Plan(
+                agent_id=self.agent,
+                first_step=view.step + 1,
+                position_m=here + share * way,
+                heading_rad=np.full(self.steps, np.arctan2(way[1], way[0])),
+                speed_mps=np.full(self.steps, np.hypot(*way) / self.steps * 10),
+            )
+        }
 
 
 def both(case, policy):

@@ -56,20 +56,22 @@ class Straight:
         self.name = name
 
     def reset(self, view, rng):
-        return self.name
+        return (self.name,)
 
     def plan(self, view):
         row = view.history.row(self.name)
         heading = float(view.history.heading_rad[row, -1])
         speed = float(view.history.speed_mps[row, -1])
         way = speed * 0.1 * np.arange(1, 141)[:, None] * [np.cos(heading), np.sin(heading)]
-        return Plan(
-            agent_id=self.name,
-            first_step=view.step + 1,
-            position_m=view.history.position_m[row, -1] + way,
-            heading_rad=np.full(140, heading),
-            speed_mps=np.full(140, speed),
-        )
+        return {
+            self.name: Plan(
+                agent_id=self.name,
+                first_step=view.step + 1,
+                position_m=view.history.position_m[row, -1] + way,
+                heading_rad=np.full(140, heading),
+                speed_mps=np.full(140, speed),
+            )
+        }
 
 
 @pytest.mark.parametrize("policy", [None, Straight("over")])

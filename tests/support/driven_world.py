@@ -4,6 +4,7 @@ import numpy as np
 
 from deepmf_sumo.geometry import boxes
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import view_of
 from tests.support.rollout_doubles import contact_of, rollout_of, straight
 
@@ -32,14 +33,14 @@ class World:
         av_y = self._av_y_m[min(len(self.policies), len(self._av_y_m) - 1)]
         self.policies.append(policy)
         av = straight(0.0, av_y, 10.0)
-        opponent_id = policy.reset(self.view, np.random.default_rng(0)) if policy else None
+        chosen = policy.reset(self.view, np.random.default_rng(0)) if policy else ()
         own, plans = self._own.copy(), []
-        if opponent_id is not None:
-            plans = [policy.plan(self.view)]
+        if chosen:
+            plans = [plan_of(policy, self.view)]
             stop = min(NOW + 1 + len(plans[0].position_m), len(own))
             own[NOW + 1 : stop, :2] = plans[0].position_m[: stop - NOW - 1]
             own[NOW + 1 : stop, 2] = plans[0].heading_rad[: stop - NOW - 1]
-        return self._rollout(av, own, opponent_id, plans)
+        return self._rollout(av, own, next(iter(chosen), None), plans)
 
     def _rollout(self, av, own, opponent_id, plans):
         end, contacts = self._av_steps, []

@@ -27,22 +27,24 @@ class Brake:
 
     def reset(self, view, rng):
         self.views.append(view)
-        return self.opponent if self.opponent in view.history.ids else None
+        return (self.opponent,) if self.opponent in view.history.ids else ()
 
     def plan(self, view):
         row = view.history.row(self.opponent)
         x, y = view.history.position_m[row, -1]
         braked = self.brake_mps2 * 0.1 * np.arange(1, 21)
         speed = np.maximum(view.history.speed_mps[row, -1] - braked, 0.0)
-        return Plan(
-            agent_id=self.opponent,
-            first_step=view.step + 1,
-            position_m=np.column_stack(
-                [x + np.cumsum(speed) * 0.1, y + self.sideways * np.linspace(0.05, 1, 20)]
-            ),
-            heading_rad=np.zeros(20),
-            speed_mps=speed,
-        )
+        return {
+            self.opponent: Plan(
+                agent_id=self.opponent,
+                first_step=view.step + 1,
+                position_m=np.column_stack(
+                    [x + np.cumsum(speed) * 0.1, y + self.sideways * np.linspace(0.05, 1, 20)]
+                ),
+                heading_rad=np.zeros(20),
+                speed_mps=speed,
+            )
+        }
 
 
 def session_on(

@@ -59,7 +59,7 @@ def rollout_of(paths, contacts=(), opponent_id="b", plans=(), now=10):
         now=now,
         dt_s=DT_S,
         av_id="av",
-        opponent_id=opponent_id,
+        attackers=() if opponent_id is None else (opponent_id,),
         contacts=tuple(contacts),
         events=(),
         plans=tuple(plans),

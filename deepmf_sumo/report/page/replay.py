@@ -77,11 +77,11 @@ def replay(
 ) -> dict[str, Any]:
     """Poses, contacts and timelines, positions relative to ``origin`` (2,).
 
-    ``turns``: of ``result.json``, where opponents took turns.
+    ``turns``: of ``result.json``, where several vehicles attacked.
     """
     tracks = rollout.tracks
     near = _near(rollout)
-    main = {rollout.av_id: "av", rollout.opponent_id: "opponent"}
+    roles = rollout.roles
     return {
         "origin": origin.tolist(),
         "steps": tracks.steps,
@@ -90,7 +90,7 @@ def replay(
         "turn": FULL_TURN,
         "hidden": int(tracks.agents - near.sum()),
         "agents": [
-            _agent(rollout, int(row), main.get(tracks.ids[row], "other"), origin)
+            _agent(rollout, int(row), roles.get(tracks.ids[row], "other"), origin)
             for row in np.flatnonzero(near)
         ],
         "contacts": [_contact(rollout, contact, origin) for contact in rollout.contacts],
@@ -135,9 +135,9 @@ def _bars(rollout: Rollout, road: RoadMap, names: list[str], origin: Floats) -> 
 
 
 def main_places(rollout: Rollout) -> Floats:
-    """(K, 2) where AV and opponent were from the current step on, or before if gone by then."""
+    """(K, 2) where AV and attackers were from the current step on, or before if gone by then."""
     tracks, places = rollout.tracks, []
-    for agent in (rollout.av_id, rollout.opponent_id):
+    for agent in (rollout.av_id, *rollout.attackers):
         if agent in tracks.ids:
             row = tracks.row(str(agent))
             there = tracks.valid[row].copy()
@@ -149,10 +149,10 @@ def main_places(rollout: Rollout) -> Floats:
 
 
 def _near(rollout: Rollout) -> Bools:
-    """(A) whether an agent was ever within `REACH_M` of the AV or the opponent at the same time."""
+    """(A) whether an agent was ever within `REACH_M` of the AV or an attacker at the same time."""
     tracks = rollout.tracks
     near = np.zeros(tracks.agents, bool)
-    for agent in (rollout.av_id, rollout.opponent_id):
+    for agent in (rollout.av_id, *rollout.attackers):
         if agent in tracks.ids:
             row = tracks.row(str(agent))
             apart = np.linalg.norm(tracks.position_m - tracks.position_m[row], axis=-1)
@@ -218,8 +218,8 @@ def _contact(rollout: Rollout, contact: Contact, origin: Floats) -> dict[str, An
 def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str, Any] | str:
     """Gap and time to collision of AV and opponent, or why there are none.
 
-    Of opponents in turn each while its turn lasts. A time to collision is null off a collision
-    course and above `LONGEST_TTC_S`.
+    Of opponents in turn each while its turn lasts, of those that attack together the nearest. A
+    time to collision is null off a collision course and above `LONGEST_TTC_S`.
     """
     whole = rollout.now, rollout.tracks.steps
     spans = [(rollout.opponent_id, *whole)]
@@ -232,7 +232,7 @@ def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str,
     for opponent, first, last in spans:
         there = opponent if opponent in rollout.tracks.ids else None
         try:
-            found = conflict.over_time(replace(rollout, opponent_id=there))
+            found = conflict.over_time(replace(rollout, attackers=(there,) if there else ()))
         except NotMeasurable as error:
             reason = str(error)
             continue
@@ -241,6 +241,9 @@ def _timeline(rollout: Rollout, turns: Sequence[Mapping[str, Any]]) -> dict[str,
     if not sum(part.shape[1] for part in parts):
         return reason
     step, gap_m, ttc_s = np.concatenate(parts, axis=1)
+    nearest = np.lexsort((gap_m, step))
+    nearest = nearest[np.diff(step[nearest], prepend=-1) > 0]
+    step, gap_m, ttc_s = step[nearest], gap_m[nearest], ttc_s[nearest]
     return {
         "step": steady(step, 1),
         "gap": steady(gap_m, 0.01),

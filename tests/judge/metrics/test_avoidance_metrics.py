@@ -64,14 +64,14 @@ def test_without_a_contact_there_is_a_reason(name):
     rollout, case = attack(straight(0, 0, 10), straight(50, 3.5, 10))
     missed = measured(name, rollout, case)
     assert (missed.value, missed.reason) == (None, "AV and opponent did not collide")
-    nobody = measured(name, replace(rollout, opponent_id=None), case)
+    nobody = measured(name, replace(rollout, attackers=()), case)
     assert (nobody.value, nobody.reason) == (None, "no vehicle was attacked")
 
 
 def test_a_miss_is_no_finding_and_nobody_attacked_is_none():
     rollout, case = attack(straight(0, 0, 10), straight(50, 3.5, 10))
     assert measured("finding", rollout, case).value == 0.0
-    assert measured("finding", replace(rollout, opponent_id=None), case).value is None
+    assert measured("finding", replace(rollout, attackers=()), case).value is None
 
 
 def test_what_makes_a_hit_no_finding():

@@ -10,6 +10,7 @@ from deepmf_sumo.datatypes import Driver, Plan
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.judge.metrics import _slices, naturalness
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
@@ -166,8 +167,8 @@ def test_metrics_of_plans():
     policy = build(Settings(), Doubles())
     policy.reset(view, np.random.default_rng(0))
     plans = [
-        policy.plan(view),
-        policy.plan(view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}, steps_left=5)),
+        plan_of(policy, view),
+        plan_of(policy, view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}, steps_left=5)),
     ]
     rollout = rollout_of({"av": AV, "b": straight(-8, 3.5, 12)}, plans=plans)
     assert measured("colliding_plans", rollout).value == 0.5

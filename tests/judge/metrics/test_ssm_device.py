@@ -59,10 +59,10 @@ class Onlooker:
     period_steps = None
 
     def reset(self, view, rng):
-        return "foe"
+        return ("foe",)
 
     def plan(self, view):
-        return None
+        return {}
 
 
 def built(folder, parts):

@@ -9,6 +9,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.datatypes import Contact
 from deepmf_sumo.deepmf import policy
 
+from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, rollout_of, straight
 
@@ -20,7 +21,7 @@ def plan(**values):
     made = policy.build(settings, Doubles())
     view = view_of(AGENTS)
     made.reset(view, np.random.default_rng(0))
-    return made.plan(view)
+    return plan_of(made, view)
 
 
 def contact(sector):
