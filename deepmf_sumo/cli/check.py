@@ -91,6 +91,7 @@ def command(
 def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
     """One row for each threshold and each comparison with the baseline."""
     from deepmf_sumo.gate.thresholds import ALL
+    from deepmf_sumo.gate.verdict import said
 
     found: list[dict[str, Any]] = []
     for one in verdict.judgements:
@@ -106,7 +107,7 @@ def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
             {"kind": "baseline", "group": each.group, "quantity": each.quantity, "allowed": None}
             | {"was": each.found.old, "value": each.found.new, "difference": mean}
             | {"low": low, "high": high, "unit": each.unit, "runs": each.found.count}
-            | {"state": each.state}
+            | {"state": said(each)}
         )
     if verdict.apart:
         found.append(

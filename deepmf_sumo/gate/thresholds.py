@@ -1,18 +1,18 @@
 """The thresholds file: strict YAML, like specs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import UsageError, nearest
-from deepmf_sumo.gate.rows import Row
-from deepmf_sumo.results import statistics
+from deepmf_sumo.results import frames
 from deepmf_sumo.results.quantities import COMPARABLE, RULES, TTC_CEILING_S, Quantity, no_quantity
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
@@ -148,6 +148,8 @@ def load(file: Path | None) -> Thresholds:
 
 
 ALL: Final = "all runs"
+COLUMN: Final = {"spec": "spec", "network": "network", "planner": "planner_label"}
+"""Of the frame, by what runs are grouped by."""
 UNFINISHED: Final = {"failed", "timeout", "missing"}
 _PERCENTILES: Final = {"min_ttc_p05": "ttc_s", "min_gap_p05": "min_gap_m"}
 _GREATEST: Final = {
@@ -182,26 +184,28 @@ class Judgement:
     blamed: tuple[str, ...] = ()
 
 
-def judge(thresholds: Thresholds, rows: Sequence[Row]) -> list[Judgement]:
-    """Every bound, over all runs and over each group.
+def judge(thresholds: Thresholds, runs: pd.DataFrame) -> list[Judgement]:
+    """Every bound, over all runs of a `run_sets.RunSet` and over each group.
 
     Raises UsageError for a group that no run belongs to.
     """
     return [
         judgement
-        for group, limits, members in _groups(thresholds, rows)
+        for group, limits, members in _groups(thresholds, runs)
         for judgement in _judge(group, limits, members)
     ]
 
 
-def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, Limits, list[Row]]]:
-    yield ALL, thresholds, list(rows)
-    for kind in ("spec", "network", "planner"):
+def _groups(
+    thresholds: Thresholds, runs: pd.DataFrame
+) -> Iterator[tuple[str, Limits, pd.DataFrame]]:
+    yield ALL, thresholds, runs
+    for kind, column in COLUMN.items():
         groups: dict[str, Limits] = getattr(thresholds, f"{kind}s")
         for pattern, limits in groups.items():
-            members = [row for row in rows if fnmatchcase(getattr(row, kind), pattern)]
-            if not members:
-                known = list(dict.fromkeys(getattr(row, kind) for row in rows))
+            members = runs[[fnmatchcase(name, pattern) for name in runs[column]]]
+            if members.empty:
+                known = list(dict.fromkeys(runs[column]))
                 hint = nearest(pattern, known) or f" There are {known[:5]}."
                 raise UsageError(
                     f"thresholds of the {kind} '{pattern}': no run belongs to it.{hint}"
@@ -209,53 +213,53 @@ def _groups(thresholds: Thresholds, rows: Sequence[Row]) -> Iterator[tuple[str, 
             yield f"{kind} {pattern}", limits, members
 
 
-def _judge(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
+def _judge(group: str, limits: Limits, runs: pd.DataFrame) -> Iterator[Judgement]:
     for limit in Limits.model_fields:
         bound = getattr(limits, limit)
         if bound is None or limit == "limits":
             continue
         if limit in _COUNTS:
-            yield _count(group, limit, bound, rows)
+            yield _count(group, limit, bound, runs)
         elif limit in _PERCENTILES:
-            yield _percentile(group, limit, bound, rows)
+            yield _percentile(group, limit, bound, runs)
         elif limit in _GREATEST:
-            yield _greatest(group, limit, bound, rows)
+            yield _greatest(group, limit, bound, runs)
         else:
-            yield _rate(group, limit, bound, rows)
+            yield _rate(group, limit, bound, runs)
 
-    yield from _rules(group, limits, rows)
+    yield from _rules(group, limits, runs)
 
 
 RULES_KEPT: Final = "rules_broken"
 """Limit of a judgement: how many of the limits that are set by default runs are beyond."""
 
 
-def _rules(group: str, limits: Limits, rows: Sequence[Row]) -> Iterator[Judgement]:
+def _rules(group: str, limits: Limits, runs: pd.DataFrame) -> Iterator[Judgement]:
     """Limits of quantities. The defaults are one judgement together, if all hold.
 
     Runs of earlier versions have no values, and without one nothing is said.
     """
     for name, bound in limits.limits.items():
         if bound is not None:
-            yield _limit(group, name, bound, rows)
+            yield _limit(group, name, bound, runs)
     if not isinstance(limits, Thresholds):
         return
     unset = {name: one.limit for name, one in RULES.items() if name not in limits.limits}
-    found = [_limit(group, name, bound or 0.0, rows) for name, bound in unset.items()]
+    found = [_limit(group, name, bound or 0.0, runs) for name, bound in unset.items()]
     broken = [one for one in found if one.state == "broken"]
     yield from broken
-    runs = max((one.runs for one in found), default=0)
-    if runs and not broken:
+    most = max((one.runs for one in found), default=0)
+    if most and not broken:
         yield Judgement(
-            group=group, limit=RULES_KEPT, bound=0, value=0, unit="", runs=runs, state="held"
+            group=group, limit=RULES_KEPT, bound=0, value=0, unit="", runs=most, state="held"
         )
 
 
-def _limit(group: str, name: str, bound: float, rows: Sequence[Row]) -> Judgement:
+def _limit(group: str, name: str, bound: float, runs: pd.DataFrame) -> Judgement:
     """No run is worse."""
-    quantity, values = COMPARABLE[name], _values(name, rows)
+    quantity, values = COMPARABLE[name], _values(name, runs)
     if not values:
-        return _without_value(group, name, bound, quantity, rows)
+        return _without_value(group, name, bound, quantity, runs)
     lower = quantity.worse == "lower"
     worst = (min if lower else max)(values.values())
     blamed = [key for key, one in values.items() if (one < bound if lower else one > bound)]
@@ -265,34 +269,27 @@ def _limit(group: str, name: str, bound: float, rows: Sequence[Row]) -> Judgemen
     )  # fmt: skip
 
 
-def _count(group: str, limit: str, bound: int, rows: Sequence[Row]) -> Judgement:
+def _count(group: str, limit: str, bound: int, runs: pd.DataFrame) -> Judgement:
     if limit == "min_judged_runs":
-        count, blamed = sum(row.judged for row in rows), []
+        count, blamed = int(runs["judged"].sum()), []
         fits = count >= bound
     else:
         wanted = UNFINISHED if limit == "max_failed_runs" else {"skipped"}
-        blamed = [row.run_id for row in rows if row.status in wanted]
+        blamed = list(runs.loc[runs["status"].isin(wanted), "run_id"])
         count, fits = len(blamed), len(blamed) <= bound
     return Judgement(
-        group=group, limit=limit, bound=bound, value=count, unit="", runs=len(rows),
+        group=group, limit=limit, bound=bound, value=count, unit="", runs=len(runs),
         state="held" if fits else "unfit", blamed=() if fits else tuple(blamed),
     )  # fmt: skip
 
 
-def _rate(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+def _rate(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
     name = limit.removeprefix("max_")
-    values = _values(name, rows)
+    values = _values(name, runs)
     if not values:
-        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], runs)
     hits = [run_id for run_id, value in values.items() if value]
-    of_units = ((row.spec, row.scene, values.get(row.run_id)) for row in rows)
-    rate, low, high = statistics.rate(
-        statistics.by_unit(
-            ((spec, scene), float(bool(value)))
-            for spec, scene, value in of_units
-            if value is not None
-        )
-    )
+    rate, low, high = frames.rate(runs, name)
     broken = rate > bound
     return Judgement(
         group=group, limit=limit, bound=bound, value=rate, unit="1", runs=len(values),
@@ -301,12 +298,12 @@ def _rate(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgemen
     )  # fmt: skip
 
 
-def _percentile(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+def _percentile(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
     """The value of a run: at most 5 % of the runs are below it."""
     name = _PERCENTILES[limit]
-    values = _values(name, rows)
+    values = _values(name, runs)
     if not values:
-        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], runs)
     value = float(np.percentile(list(values.values()), 5, method="inverted_cdf"))
     blamed = [run_id for run_id, each in values.items() if each < bound] if value < bound else []
     return Judgement(
@@ -315,11 +312,11 @@ def _percentile(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Ju
     )  # fmt: skip
 
 
-def _greatest(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judgement:
+def _greatest(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
     name = _GREATEST[limit]
-    values = _values(name, rows)
+    values = _values(name, runs)
     if not values:
-        return _without_value(group, limit, bound, COMPARABLE[name], rows)
+        return _without_value(group, limit, bound, COMPARABLE[name], runs)
     blamed = [run_id for run_id, each in values.items() if each > bound]
     return Judgement(
         group=group, limit=limit, bound=bound, value=max(values.values()),
@@ -329,10 +326,10 @@ def _greatest(group: str, limit: str, bound: float, rows: Sequence[Row]) -> Judg
 
 
 def _without_value(
-    group: str, limit: str, bound: float, quantity: Quantity, rows: Sequence[Row]
+    group: str, limit: str, bound: float, quantity: Quantity, runs: pd.DataFrame
 ) -> Judgement:
     """Fine where nothing happened that could be measured; no basis where it was not measured."""
-    hits = _values("collision_rate", rows)
+    hits = _values("collision_rate", runs)
     missed = any(hits.values()) if quantity.of_hits else bool(hits)
     return Judgement(
         group=group, limit=limit, bound=bound, value=None, unit=quantity.unit, runs=0,
@@ -340,5 +337,5 @@ def _without_value(
     )  # fmt: skip
 
 
-def _values(name: str, rows: Sequence[Row]) -> dict[str, float]:
-    return {row.run_id: row.values[name] for row in rows if name in row.values}
+def _values(name: str, runs: pd.DataFrame) -> dict[str, float]:
+    return dict(runs.set_index("run_id")[name].dropna())

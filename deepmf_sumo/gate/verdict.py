@@ -7,22 +7,26 @@ missing, too few runs, or a comparison that cannot tell; ``skipped``: no vehicle
 attack, or nothing to judge by.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import pandas as pd
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import Ending, UsageError, exit_code
-from deepmf_sumo.gate import comparison, rows, setups
-from deepmf_sumo.gate.comparison import Comparison
-from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.gate import comparison
 from deepmf_sumo.gate.same_attacks import SameAttacks
-from deepmf_sumo.gate.setups import meant
 from deepmf_sumo.gate.thresholds import ALL, UNFINISHED, Baseline, Judgement, Thresholds, judge
+from deepmf_sumo.results import run_sets, setups
+from deepmf_sumo.results.comparison import QuantityChange
+from deepmf_sumo.results.frames import rows_of
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import COMPARABLE
+from deepmf_sumo.results.run_sets import RunSet
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.tables import to_markdown
 
@@ -41,10 +45,10 @@ class Verdict:
         notes: sentences on what a reader should know before trusting it.
     """
 
-    results: Results
+    results: RunSet
     judgements: list[Judgement]
     baseline: Path | None
-    comparisons: list[Comparison] | None
+    comparisons: list[QuantityChange] | None
     same_attacks: SameAttacks | None
     notes: list[str]
     apart: list[str] = field(default_factory=list)
@@ -79,8 +83,9 @@ class Verdict:
 
     def _example(self, one: Judgement) -> str:
         """``; e.g. RUN: the planner ...``: why a run has no result, where that is the matter."""
-        row = self.results.rows.get(one.blamed[0]) if one.blamed else None
-        return f"; e.g. {row.run_id}: {row.reason}" if row and row.reason else ""
+        runs = self.results.runs
+        [*first] = rows_of(runs[runs["run_id"].isin(one.blamed[:1])])
+        return "".join(f"; e.g. {run.run_id}: {run.error}" for run in first if run.error)
 
     def _broken(self) -> Iterator[str]:
         for one in self.judgements:
@@ -92,21 +97,24 @@ class Verdict:
                 yield regression(each)
         if self.same_attacks and self.same_attacks.state == "worse":
             yield own_hits(self.same_attacks)
-        for row in self.results.rows.values():
-            for broken in row.broken:
-                yield f"{row.run_id}: {broken}"
+        for run in rows_of(self.results.runs):
+            yield from (f"{run.run_id}: {broken}" for broken in run.expectations_broken)
 
     def _open(self) -> Iterator[str]:
         for each in self.comparisons or ():
             if each.state == "cannot tell":
                 yield undecided_sentence(each)
 
-    def failures(self, row: Row) -> list[str]:
-        """Why a run is a failure: its own expectations, and the bounds that it helped to break."""
+    def failures(self, run: Any) -> list[str]:
+        """Why a run is a failure: its own expectations, and the bounds that it helped to break.
+
+        ``run``: a row of the frame.
+        """
         blamed = (
-            one for one in self.judgements if row.run_id in one.blamed and one.state == "broken"
+            one for one in self.judgements if run.run_id in one.blamed and one.state == "broken"
         )
-        return [*row.broken, *(f"contributes to {one.limit} of {one.group}" for one in blamed)]
+        broken = (f"contributes to {one.limit} of {one.group}" for one in blamed)
+        return [*run.expectations_broken, *broken]
 
 
 def check(
@@ -129,8 +137,8 @@ def check(
     Raises UsageError for a folder, a baseline or a group of thresholds that cannot be used, and
     OutputError.
     """
-    found = rows.read(out)
-    judgements = [*judge(thresholds, list(found.rows.values())), *_attacked_throughout(found)]
+    found = run_sets.read(out)
+    judgements = [*judge(thresholds, found.runs), *_attacked_throughout(found)]
     named = thresholds.baseline.results
     place = baseline or (Path(named) if named else None)
     comparisons, same_attacks = None, None
@@ -139,11 +147,11 @@ def check(
     if repeat and not place:
         raise UsageError("--same-attacks repeats hits of a baseline: name it with --baseline.")
     if renewed:
-        rows.write(renewed, found)
+        run_sets.write(renewed, found)
         if place and place.resolve() == renewed.resolve():
             place, notes = None, [f"{renewed} is written again, so nothing is compared with it"]
     if place:
-        old = rows.read(place)
+        old = run_sets.read(place)
         apart = setups.differences(found, old)
         if not apart:
             comparisons = comparison.compare(thresholds.baseline, found, old)
@@ -160,12 +168,12 @@ def check(
     )
 
 
-def _attacked_throughout(found: Results) -> Iterator[Judgement]:
+def _attacked_throughout(found: RunSet) -> Iterator[Judgement]:
     """No verdict on a live session in which attacks were off: without any, every AV is good."""
     if found.switched_off:
         yield Judgement(
             group=ALL, limit="attacks_switched_off", bound=0, value=len(found.switched_off),
-            unit="", runs=len(found.rows), state="unfit",
+            unit="", runs=len(found.runs), state="unfit",
         )  # fmt: skip
 
 
@@ -191,7 +199,7 @@ def _where(blamed: Sequence[str]) -> str:
     return f"; in {', '.join(blamed[:_NAMED])}{f' and {more} more' * (more > 0)}"
 
 
-def regression(one: Comparison) -> str:
+def regression(one: QuantityChange) -> str:
     """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``.
 
     What is worse also names where, most first: ``; most in 'cut-in' (+0.7), ...``.
@@ -229,7 +237,7 @@ def own_hits(one: SameAttacks) -> str:
     return text
 
 
-def undecided_sentence(one: Comparison) -> str:
+def undecided_sentence(one: QuantityChange) -> str:
     """What the runs leave open, and how many would decide."""
     found = one.found
     if found.difference is None:
@@ -240,7 +248,7 @@ def undecided_sentence(one: Comparison) -> str:
             f" {units(found, found.fewest)} are needed"
         )
     else:
-        size = figure(one.rule_out, one.unit)
+        size = figure(one.margin, one.unit)
         why = f"it may be worse by more than {size}, and may be no worse"
         if one.needed:
             why += f"; about {units(found, one.needed)} would tell"
@@ -292,11 +300,12 @@ def other_attack(baseline: Path | None, apart: Sequence[str]) -> str:
 
 
 def _notes(
-    wanted: Baseline, new: Results, old: Results, comparisons: Sequence[Comparison]
+    wanted: Baseline, new: RunSet, old: RunSet, comparisons: Sequence[QuantityChange]
 ) -> Iterator[str]:
     yield from setups.notes(new, old)
     compared = sum(one.state != "not judged" for one in comparisons)
-    alone = len(new.rows.keys() - old.rows.keys()), len(old.rows.keys() - new.rows.keys())
+    ours, theirs = set(new.runs["run_id"]), set(old.runs["run_id"])
+    alone = len(ours - theirs), len(theirs - ours)
     if any(alone):
         yield f"new runs: {alone[0]}; runs of the baseline that are gone: {alone[1]}"
     yield (
@@ -319,7 +328,6 @@ def write_summary(path: Path, verdict: Verdict) -> None:
 
 def text(verdict: Verdict) -> str:
     """Title, tables, and the runs to look at; long lists are cut, which the text says."""
-    rows = list(verdict.results.rows.values())
     lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(verdict), ""]
     lines += to_markdown(
         ("group", "threshold", "allowed", "measured", "runs", ""), thresholds(verdict)
@@ -339,7 +347,7 @@ def text(verdict: Verdict) -> str:
     lines += [f"\n{undecided_sentence(one)}." for one in undecided[:LONGEST_LIST]]
     for title, found in (
         ("Runs that contribute to it", _blamed(verdict)),
-        ("Runs without result", _unfinished(rows)),
+        ("Runs without result", _unfinished(verdict.results.runs)),
     ):
         if found:
             lines += ["", f"### {title}", "", *found[:LONGEST_LIST]]
@@ -350,17 +358,17 @@ def text(verdict: Verdict) -> str:
 
 def counts(verdict: Verdict) -> str:
     """``40 runs: 36 judged, 3 with no vehicle to attack, 1 failed or missing; profile fair``."""
-    rows, attacks = list(verdict.results.rows.values()), verdict.results.attacks
-    told = headline(map(meant, (attacks.get(row.attack, {}) for row in rows)))
-    unfinished = sum(row.status in UNFINISHED for row in rows)
-    skipped = sum(row.status == "skipped" for row in rows)
-    judged = sum(row.judged for row in rows)
-    unattacked = len(rows) - unfinished - skipped - judged
+    runs, attacks = verdict.results.runs, verdict.results.attacks
+    told = headline(setups.meant(attacks.get(one, {})) for one in runs["setup"])
+    unfinished = int(runs["status"].isin(UNFINISHED).sum())
+    skipped = int((runs["status"] == "skipped").sum())
+    judged = int(runs["judged"].sum())
+    unattacked = len(runs) - unfinished - skipped - judged
     parts = [f"{judged} judged"]
     parts += [f"{unattacked} with no vehicle to attack"] if unattacked else []
     parts += [f"{skipped} skipped"] if skipped else []
     parts += [f"{unfinished} failed or missing"] if unfinished else []
-    return f"{len(rows)} run{_s(len(rows))}: {', '.join(parts)}{'; ' * bool(told)}{told}"
+    return f"{len(runs)} run{_s(len(runs))}: {', '.join(parts)}{'; ' * bool(told)}{told}"
 
 
 def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:
@@ -379,22 +387,27 @@ def comparisons(verdict: Verdict) -> Iterator[tuple[str, ...]]:
         ends = (
             "-" if end is None else figure(end, one.unit) for end in (one.found.old, one.found.new)
         )
-        state = f"**{one.state}**" if one.state in {"worse", "cannot tell"} else one.state
+        state = said(one)
+        state = f"**{state}**" if state in {"worse", "cannot tell"} else state
         yield (one.group, one.quantity, *ends, difference(one.found), state)
+
+
+def said(one: QuantityChange) -> str:
+    """What a comparison says, in the words of a gate."""
+    return "passed" if one.state == "within margin" else one.state
 
 
 def _blamed(verdict: Verdict) -> list[str]:
     return [
-        f"- `{row.run_id}`: {'; '.join(found)}"
-        for row in verdict.results.rows.values()
-        if (found := verdict.failures(row))
+        f"- `{run.run_id}`: {'; '.join(found)}"
+        for run in rows_of(verdict.results.runs)
+        if (found := verdict.failures(run))
     ]
 
 
-def _unfinished(rows: Iterable[Row]) -> list[str]:
-    return [
-        f"- `{row.run_id}`: {row.status}, {row.reason}" for row in rows if row.status in UNFINISHED
-    ]
+def _unfinished(runs: pd.DataFrame) -> list[str]:
+    left = runs[runs["status"].isin(UNFINISHED)]
+    return [f"- `{run.run_id}`: {run.status}, {run.error}" for run in rows_of(left)]
 
 
 def write_junit(path: Path, verdict: Verdict) -> None:
@@ -412,8 +425,8 @@ def write_junit(path: Path, verdict: Verdict) -> None:
         suites.append(("baseline", [case]))
     by_spec: dict[str, list[TestCase]] = {}
     tolerated = _tolerated(verdict)
-    for row in verdict.results.rows.values():
-        by_spec.setdefault(row.spec, []).append(_run(row, verdict, tolerated=tolerated))
+    for run in rows_of(verdict.results.runs):
+        by_spec.setdefault(str(run.spec), []).append(_run(run, verdict, tolerated=tolerated))
     with files.writing(path):
         write_suites(path, [*suites, *by_spec.items()])
 
@@ -427,7 +440,7 @@ def _threshold(one: Judgement) -> TestCase:
     return TestCase(classname=one.group, name=one.limit, marks=marks)
 
 
-def _comparison(one: Comparison) -> TestCase:
+def _comparison(one: QuantityChange) -> TestCase:
     marks = []
     if one.state == "worse":
         marks = [Mark("failure", regression(one))]
@@ -441,24 +454,26 @@ def _same_attacks(one: SameAttacks) -> TestCase:
     return TestCase(classname="baseline: all runs", name="same attacks", marks=marks)
 
 
-def _run(row: Row, verdict: Verdict, *, tolerated: bool) -> TestCase:
-    failures = verdict.failures(row)
+def _run(run: Any, verdict: Verdict, *, tolerated: bool) -> TestCase:
+    failures = verdict.failures(run)
     # in one element: most servers show only the first
     marks = [Mark("failure", "; ".join(failures))] if failures else []
-    if row.status in UNFINISHED and not tolerated:
-        marks.append(Mark("error", f"{row.status}: {row.reason}"))
-    elif row.status in UNFINISHED:
-        allowed = f"allowed by max_failed_runs: {row.status}: {row.reason}"
+    if run.status in UNFINISHED and not tolerated:
+        marks.append(Mark("error", f"{run.status}: {run.error}"))
+    elif run.status in UNFINISHED:
+        allowed = f"allowed by max_failed_runs: {run.status}: {run.error}"
         marks.append(Mark("skipped", allowed))
-    elif not (row.judged or failures):
-        marks.append(Mark("skipped", row.reason))
-    values = ", ".join(f"{name} {value:g}" for name, value in row.values.items())
+    elif not (run.judged or failures):
+        marks.append(Mark("skipped", run.error))
+    values = ", ".join(
+        f"{name} {value:g}" for name in COMPARABLE if not math.isnan(value := getattr(run, name))
+    )
     return TestCase(
-        classname=_classname(row),
-        name=f"{row.scene} seed {row.seed}",
-        seconds=row.wall_s,
+        classname=_classname(run),
+        name=f"{run.scene} seed {run.seed}",
+        seconds=getattr(run, "wall_s", 0.0),
         marks=marks,
-        output=f"{values or '-'}; files: {verdict.results.source}/runs/{row.run_id}",
+        output=f"{values or '-'}; files: {verdict.results.source}/runs/{run.run_id}",
     )
 
 
@@ -469,6 +484,7 @@ def _tolerated(verdict: Verdict) -> bool:
     )
 
 
-def _classname(row: Row) -> str:
+def _classname(run: Any) -> str:
     """Spec, method and planner, each named once: they differ for equal scenes and seeds."""
-    return " / ".join(dict.fromkeys(part for part in (row.spec, row.method, row.planner) if part))
+    parts = (run.spec, run.method, run.planner_label)
+    return " / ".join(dict.fromkeys(part for part in parts if part))

@@ -18,6 +18,7 @@ APART: Final = tuple(rung for rung in RUNGS if rung not in FINDINGS)
 NAMES: Final[Mapping[Rung, str]] = {
     "A": "error of the AV", "B": "avoidable", "C": "contrived", "D": "unavoidable",
 }  # fmt: skip
+NOT_JUDGED: Final = "not judged"
 MEANINGS: Final[Mapping[Rung, str]] = {
     "A": "the AV made the error, and the opponent kept the rules",
     "B": "the opponent made an error that drivers make, both erred, or neither, and a driver"
@@ -93,7 +94,7 @@ def earlier_note(old: int, among: int) -> str:
 def said(one: Worth | None) -> str:
     """A hit's worth in words, e.g. ``avoidable (B)``."""
     if one is None:
-        return "not judged"
+        return NOT_JUDGED
     if one.rung is None:
         return "valid" if one.finding else "not valid"
     return f"{NAMES[one.rung]} ({one.rung})"

@@ -6,11 +6,13 @@ A scene (of a spec on a network: the spec) is one unit of `statistics`, however 
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import fmean
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
+
+import pandas as pd
 
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.statistics import Difference, Units
@@ -20,28 +22,12 @@ _MOST_ALONE: Final = 0.5
 
 Scene = tuple[str, str]
 Beyond = Callable[[float], bool]
-
-
-class Sample(Protocol):
-    """What a run measured: the values that it has, by quantity, and what tells it from others."""
-
-    @property
-    def run_id(self) -> str: ...
-
-    @property
-    def spec(self) -> str: ...
-
-    @property
-    def scene(self) -> str: ...
-
-    @property
-    def method(self) -> str: ...
-
-    @property
-    def planner(self) -> str: ...
-
-    @property
-    def values(self) -> Mapping[str, float]: ...
+_PAIR: Final = ("run_id",)
+_SITUATION: Final = ("spec", "scene", "method", "planner_label")
+_SCENE: Final = ("spec", "scene")
+"""Columns of a frame of runs that runs have in common."""
+KEYS: Final = (*_PAIR, *_SITUATION)
+"""All columns that `match` looks at, beside the quantity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,45 +78,60 @@ def _difference(values: Sequence[Units], confidence: float, largest: float | Non
 
 def match(
     name: str,
-    new: Iterable[Sample],
-    old: Iterable[Sample],
+    new: pd.DataFrame,
+    old: pd.DataFrame,
     confidence: float,
     largest: float | None = None,
 ) -> Matched:
     """New minus old of a quantity.
 
     Args:
-        name: of the quantity.
-        new: runs of the new side.
+        name: of the quantity: a column.
+        new: runs of the new side, as `Results.frame` has them.
         old: runs of the old side.
         confidence: of the two-sided interval.
         largest: difference that another unit may have, see `quantities.Quantity.largest`.
     """
-    ours, theirs = ([sample for sample in side if name in sample.values] for side in (new, old))
-    if not (ours and theirs):
+    if not (new[name].notna().any() and old[name].notna().any()):
         enough = statistics.fewest(confidence)
         return Matched(by="pairs", count=0, units=0, fewest=enough, confidence=confidence)
-    keys: tuple[tuple[Literal["pairs", "scenes"], Callable[[Sample], Hashable]], ...]
-    keys = (("pairs", _run), ("scenes", _situation), ("scenes", _scene))
+    keys: tuple[tuple[Literal["pairs", "scenes"], tuple[str, ...]], ...]
+    keys = (("pairs", _PAIR), ("scenes", _SITUATION), ("scenes", _SCENE))
     for by, key in keys:
-        sides = _means(name, ours, key), _means(name, theirs, key)
-        found = _paired(*sides, by, confidence, largest)
-        if found:
-            return found
-    sides = _means(name, ours, _scene), _means(name, theirs, _scene)
-    return _unpaired(*sides, confidence, largest)
+        sides = _means(name, new, key), _means(name, old, key)
+        both = sum(one in sides[1] for one in sides[0])
+        if both >= _MOST_ALONE * min(map(len, sides)):  # else too many have no partner
+            return _paired(*sides, by, confidence, largest)
+    return _unpaired(_means(name, new, _SCENE), _means(name, old, _SCENE), confidence, largest)
+
+
+def match_pairs(
+    name: str,
+    new: pd.DataFrame,
+    old: pd.DataFrame,
+    confidence: float,
+    largest: float | None = None,
+) -> Matched | None:
+    """`match` of the runs alone that have a partner, however few they are; None without any."""
+    sides = _means(name, new, _PAIR), _means(name, old, _PAIR)
+    if not any(one in sides[1] for one in sides[0]):
+        return None
+    return _paired(*sides, "pairs", confidence, largest)
 
 
 Means = dict[Hashable, tuple[Scene, float]]
 
 
-def _means(name: str, samples: Iterable[Sample], key: Callable[[Sample], Hashable]) -> Means:
-    """Scene and mean value of all samples with the same key."""
+def _means(name: str, runs: pd.DataFrame, key: Sequence[str]) -> Means:
+    """Scene and mean value of all runs with the same key."""
     values: dict[Hashable, list[float]] = defaultdict(list)
     scenes: dict[Hashable, Scene] = {}
-    for sample in samples:
-        values[key(sample)].append(sample.values[name])
-        scenes[key(sample)] = _scene(sample)
+    measured = runs[runs[name].notna()]
+    keys, of = (zip(*(measured[column] for column in columns), strict=True)
+                for columns in (key, _SCENE))  # fmt: skip
+    for one, scene, value in zip(keys, of, measured[name], strict=True):
+        values[one].append(float(value))
+        scenes[one] = scene
     return {one: (scenes[one], fmean(found)) for one, found in values.items()}
 
 
@@ -140,11 +141,8 @@ def _paired(
     by: Literal["pairs", "scenes"],
     confidence: float,
     largest: float | None,
-) -> Matched | None:
-    """None where too many values of both sides have no partner."""
+) -> Matched:
     both = [key for key in ours if key in theirs]
-    if len(both) < _MOST_ALONE * min(len(ours), len(theirs)):
-        return None
     by_scene: dict[Scene, list[float]] = defaultdict(list)
     for key in both:
         scene, value = ours[key]
@@ -189,18 +187,6 @@ def _unpaired(ours: Means, theirs: Means, confidence: float, largest: float | No
 def _of_specs(scenes: Iterable[Scene]) -> bool:
     known = set(scenes)
     return len({spec for spec, _ in known}) == len(known)
-
-
-def _run(sample: Sample) -> Hashable:
-    return sample.run_id
-
-
-def _situation(sample: Sample) -> Hashable:
-    return sample.spec, sample.scene, sample.method, sample.planner
-
-
-def _scene(sample: Sample) -> Scene:
-    return sample.spec, sample.scene
 
 
 Answer = Literal["more", "less", "within margin", "cannot tell"]

@@ -6,7 +6,7 @@ differences treat all quantities alike.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, Final, Literal, NamedTuple
 
@@ -447,6 +447,13 @@ COMPARABLE: Final = {
 """What `check` and `compare` judge, by name: what is worse for the AV is said of each."""
 RULES: Final = {name: one for name, one in COMPARABLE.items() if one.limit is not None}
 """What no run may break, whatever it is compared with, see `Quantity.limit`."""
+
+
+def share(name: str) -> Quantity:
+    """A rate that a comparison makes of runs, as bad for the AV as hits are; not of a result."""
+    return replace(BY_NAME["collision_rate"], name=name)
+
+
 _NOW: Final = {"valid_collision_rate": "finding_rate"}
 """Names of earlier versions."""
 

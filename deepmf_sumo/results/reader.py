@@ -13,9 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Final, Self
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from deepmf_sumo import files, readers
 from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
@@ -31,13 +29,14 @@ from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.result import ContactValues, MetricValues, Result
 from deepmf_sumo.spec import document
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from deepmf_sumo.results.frames import Kind
+
 HIT: Final = "av_opponent"
-NUMBERS: Final = (
-    "seed", "contact_time_s", "contact_speed_mps", "impact_sector", "opponent_score",
-    "generation_s", "cycle_ms_median", "simulation_s", "budget_simulations", "budget_seconds",
-    "simulations", "turns", "turn_hits",
-)  # fmt: skip
-"""Columns of ``runs.csv`` that `Results.frame` has as numbers."""
+MISSING: Final = "missing"
+"""Status of a run of the manifest that has no result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,15 +95,12 @@ class Run:
 
         Raises UsageError where it cannot be read, or is damaged.
         """
-        found = stored.result_of(self.folder / "result.json")
-        if found["status"] == "ok":
-            found["search"].pop("trials", None)
-        return found
+        return without_trials(stored.result_of(self.folder / "result.json"))
 
     @property
     def has_result(self) -> bool:
         """Whether there is a ``result.json``, readable or not."""
-        return (self.folder / "result.json").is_file()
+        return self.status != MISSING and (self.folder / "result.json").is_file()
 
     @property
     def recorded(self) -> bool:
@@ -168,6 +164,11 @@ class Run:
         """Where the opponent hit the AV."""
         contacts = self.result["contacts"] if self.hit else []
         return next((one["sector"] for one in contacts if one["kind"] == HIT), None)
+
+    @property
+    def network(self) -> str | None:
+        """The .sumocfg without its suffix; None of a recording, or where that is not known."""
+        return self.result["network"] if self.has_result else self.row.get("network") or None
 
     @property
     def asked_sector(self) -> int | None:
@@ -400,43 +401,27 @@ class Results:
             if out / "runs" / run_id not in listed
         )
 
-    def frame(self) -> pd.DataFrame:
-        """One row per run: ``folder``, the columns of ``runs.csv``, and each metric by its name.
+    def frame(self, kind: "Kind" = "runs") -> "pd.DataFrame":
+        """All runs, attacks or contacts as a table, see docs/howto/results-in-python.md.
 
-        A missing value is None or NaN. Raises UsageError where a ``result.json`` is damaged.
+        Args:
+            kind: ``runs``: a row a run, with all quantities and metrics; ``attacks``: a row an
+                attack of it, of which there are several where opponents attack in turn;
+                ``contacts``: a row a contact.
+
+        A missing value is None or NaN. Raises UsageError where a file of a run is damaged, or for
+        another kind.
         """
-        rows = [
-            {
-                "folder": str(run.folder.parents[1]),
-                **run.row,
-                **{name: one["value"] for name, one in run.metrics.items()},
-            }
-            for run in self.runs
-        ]
-        table = pd.DataFrame(rows).replace("", None)
-        for name in NUMBERS:
-            if name in table:
-                table[name] = pd.to_numeric(table[name], errors="coerce")
-        return table
+        from deepmf_sumo.results import frames  # brings pandas along
+
+        return frames.frame(self, kind)
 
 
-def planned(out: Path) -> dict[str, Result | None]:
-    """The result of each run of a folder's manifest, without those of other budgets and figures.
-
-    None for a run without a result; that of an earlier batch does not count. Raises UsageError
-    where a file cannot be read.
-    """
-    known = stored.planned_of(out)
-    found: dict[str, Result | None] = {}
-    for run_id, key in stored.keys_of(out).items():
-        file = out / "runs" / run_id / "result.json"
-        result = stored.result_of(file) if file.is_file() else None
-        if result is not None and result["key"] != key:
-            result = None
-        part = result["part"] if result else known.get(run_id, {}).get("part", "main")
-        if part == "main":
-            found[run_id] = result
-    return found
+def without_trials(result: Result) -> Result:
+    """The result without the trials of a search: those of thousands of runs are large."""
+    if result["status"] == "ok":
+        result["search"].pop("trials", None)
+    return result
 
 
 def _text(file: Path) -> str:

@@ -374,6 +374,11 @@ def _cause(episode: Episode) -> dict[str, Any] | None:
 
 def row(result: Result) -> dict[str, str]:
     """The run's row in ``runs.csv``; unknown values are empty."""
+    return {key: tables.cell(value) for key, value in known_of(result).items()}
+
+
+def known_of(result: Result) -> dict[str, Any]:
+    """By column of ``runs.csv``; None for what is not known."""
     contact = first_contact(result) or {}
     metrics, timings = result.get("metrics", {}), result["timings"]
     by_turn = result.get("turns")
@@ -390,7 +395,7 @@ def row(result: Result) -> dict[str, str]:
         "turn_hits": None if by_turn is None else hits(by_turn),
         "constraints": " ".join(result.get("constraints", ())),
     }
-    return {key: tables.cell(known[key]) for key in COLUMNS}
+    return {key: known[key] for key in COLUMNS}
 
 
 def profile(result: Result) -> str:

@@ -22,11 +22,11 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
 from deepmf_sumo.judge.ladder import FINDINGS
 from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.results import findings, statistics, stored
+from deepmf_sumo.results import findings, planned, statistics, stored
 from deepmf_sumo.results.findings import Worth, cause_key
 from deepmf_sumo.results.quantities import SPARE, criticality
-from deepmf_sumo.results.reader import planned
-from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results.reader import MISSING
+from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import RecordedTracks
 from deepmf_sumo.risk import passing
 from deepmf_sumo.risk import places as places_module
@@ -342,31 +342,29 @@ def read(folders: Sequence[Path]) -> list[Network]:
 
 def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counter[str]) -> None:
     moments, flows = stored.moments_of(out), stored.flows_of(out)
-    results = planned(out)
-    weights = _weights(results, moments)
-    for run_id, result in results.items():
-        if result is None:
-            left_out["without a result"] += 1
-        elif result["status"] != "ok":
-            left_out[result["status"]] += 1
-        elif not result["network"]:
+    runs = planned.read(out).runs
+    weights = _weights({run.run_id: run.result for run in runs if run.has_result}, moments)
+    for run in runs:
+        if run.status != "ok":
+            left_out["without a result" if run.status == MISSING else run.status] += 1
+        elif not run.network:
             left_out["on recorded scenes"] += 1
-        elif not attacked(result):
+        elif not run.attacked:
             left_out["with no vehicle to attack"] += 1
         else:
-            network = _network(out / "runs" / run_id, result["network"], networks)
-            network.pass_by(out, result, flows)
-            moment = moments.get(run_id, {})
+            network = _network(run.folder, run.network, networks)
+            network.pass_by(out, run.result, flows)
+            moment, weight = moments.get(run.run_id, {}), weights.get(run.run_id, 1.0)
             try:
                 network.attacks += of_run(
-                    out, result, moment, network.places, network.road, weights.get(run_id, 1.0)
+                    out, run.result, moment, network.places, network.road, weight
                 )
             except UsageError:
                 network.left_out["without readable tracks"] += 1
 
 
 def _weights(
-    results: Mapping[str, Result | None], moments: Mapping[str, Mapping[str, str]]
+    results: Mapping[str, Result], moments: Mapping[str, Mapping[str, str]]
 ) -> dict[str, float]:
     """Of the runs whose moments were drawn by what others found, see `statistics.drawn`.
 
@@ -376,7 +374,7 @@ def _weights(
     counted = set()
     for run_id, result in results.items():
         row = moments.get(run_id, {})
-        if result is not None and row.get("probability"):
+        if row.get("probability"):
             one = int(row["draw"]), float(row["probability"]), run_id
             draws[result["spec"], result["seed"], int(row["pool"])].append(one)
             if result["status"] == "ok":
@@ -391,16 +389,6 @@ def _weights(
             run_id: each * len(known) / sum(known.values()) for run_id, each in known.items()
         }
     return weights
-
-
-def of_runs(folders: Sequence[Path]) -> dict[str, Result]:
-    """The results of successful runs, by ``OUT/runs/RUN``."""
-    return {
-        f"{out}/runs/{run_id}": result
-        for out in folders
-        for run_id, result in planned(out).items()
-        if result is not None and result["status"] == "ok"
-    }
 
 
 def _network(folder: Path, name: str, networks: dict[tuple[str, str], _Filling]) -> _Filling:

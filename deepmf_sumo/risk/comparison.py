@@ -9,33 +9,32 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Final, Literal
+from typing import Any, Final
+
+import pandas as pd
 
 from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import rows
-from deepmf_sumo.gate.rows import Results, Row
-from deepmf_sumo.gate.setups import WHOM, differing
-from deepmf_sumo.results import sessions
-from deepmf_sumo.results.matching import Matched, answer, match
-from deepmf_sumo.results.quantities import COMPARABLE, RATE, Quantity, no_quantity, without_ladder
-from deepmf_sumo.results.reader import before_note
-from deepmf_sumo.results.result import Result
+from deepmf_sumo.results import quantities, run_sets, sessions
+from deepmf_sumo.results.comparison import QuantityChange, change
+from deepmf_sumo.results.quantities import COMPARABLE, Quantity, no_quantity
+from deepmf_sumo.results.reader import MISSING, Run, judged_before, without_ladder
+from deepmf_sumo.results.run_sets import RunSet
+from deepmf_sumo.results.setups import WHOM, differing
 from deepmf_sumo.results.stored import inputs_of, result_folders
-from deepmf_sumo.risk import attacks
 from deepmf_sumo.risk.attacks import net_digest
-from deepmf_sumo.risk.origins import Origin, Tagged, origins, tags
+from deepmf_sumo.risk.origins import Origin, origins, tagged
 
-Sides = tuple[Mapping[str, Result], Mapping[str, Result]]
-"""Successful results of A and of B, by ``OUT/runs/RUN``."""
+Sides = tuple[Sequence[Run], Sequence[Run]]
+"""Successful runs of A and of B."""
 
 
-def check(sides: Sides, names: Sequence[Path]) -> None:
+def _check(sides: Sides, names: Sequence[Path]) -> None:
     """Raise UsageError where the attacks of the sides did not have the same time.
 
     A longer attack hits more often, whatever is attacked.
     """
-    lasting = [_durations_s(side.values()) for side in sides]
+    lasting = [_durations_s(side) for side in sides]
     if all(lasting) and lasting[0] != lasting[1]:
         old, new = (" and ".join(f"{one:g}" for one in sorted(side)) for side in lasting)
         raise UsageError(
@@ -44,8 +43,8 @@ def check(sides: Sides, names: Sequence[Path]) -> None:
         )
 
 
-def notes(
-    sides: Sides, *, planners_differ: bool, networks_differ: bool, changed_on_purpose: bool = False
+def _unlike(
+    sides: Sides, *, planners_differ: bool, networks_differ: bool, changed_on_purpose: bool
 ) -> Iterator[str]:
     """Sentences on what is not the same.
 
@@ -62,9 +61,8 @@ def notes(
             f"the network {name} is not the same in A and B in spite of one name: a difference"
             " may be the network's"
         )
-    found = [one for side in sides for one in side.values() if one["network"] is not None]
-    before = [one for one in found if one["opponent"] and one.get("counterfactual") is None]
-    yield from filter(None, (before_note(len(before), len(found)), without_ladder(found)))
+    found = [run for side in sides for run in side if run.network]
+    yield from filter(None, (judged_before(found), without_ladder(found)))
     if planners_differ and (networks_differ or changed):
         yield (
             "planner and network are both different: a difference may be of either; compare sides"
@@ -72,7 +70,7 @@ def notes(
         )
 
 
-def traffic_notes(a: Sequence[Path], b: Sequence[Path]) -> Iterator[str]:
+def _traffic_notes(a: Sequence[Path], b: Sequence[Path]) -> Iterator[str]:
     """A sentence where files of the traffic are not the same under one name."""
     old, new = (_traffic(side) for side in (a, b))
     changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
@@ -94,22 +92,21 @@ def _traffic(folders: Iterable[Path]) -> dict[str, set[str]]:
     return found
 
 
-def _durations_s(side: Iterable[Result]) -> set[float]:
+def _durations_s(side: Iterable[Run]) -> set[float]:
     """The longest durations of the attacks."""
-    steps = {one["duration_steps"] for one in side if one["opponent"]}
+    steps = {run.result["duration_steps"] for run in side if run.attacked}
     return {round(one * DT_S, 1) for one in steps}
 
 
-def _networks(side: Mapping[str, Result]) -> dict[str, set[str]]:
+def _networks(side: Iterable[Run]) -> dict[str, set[str]]:
     """Digests of the networks by name; one run of each folder represents the others in it."""
     first: dict[tuple[Path, str], Path] = {}
-    for key, result in side.items():
-        if result["network"]:
-            run = Path(key)
-            first.setdefault((run.parents[1], result["network"]), run)
+    for run in side:
+        if run.network:
+            first.setdefault((run.folder.parents[1], run.network), run.folder)
     found: dict[str, set[str]] = {}
-    for (_, name), run in first.items():
-        found.setdefault(name, set()).add(net_digest(run))
+    for (_, name), folder in first.items():
+        found.setdefault(name, set()).add(net_digest(folder))
     return found
 
 
@@ -118,28 +115,12 @@ COMPARED: Final = (
     "required_braking_mps2",
 )  # fmt: skip
 CONFIDENCE: Final = 0.95
-_IDENTITY: Final = ("spec", "network", "method", "planner")
-"""What may differ on purpose between the runs of the two sides."""
+_IDENTITY: Final = {
+    "spec": "spec", "network": "network", "method": "method", "planner": "planner_label",
+}  # fmt: skip
+"""What may differ on purpose between the runs of the two sides, and its columns."""
 Differs = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 """Name of what is not the same on both sides -> values of A, values of B."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
-    """One quantity of all runs, A and B.
-
-    Attributes:
-        found: the difference, B minus A, and what it is of.
-        state: ``within margin`` where the whole interval lies within ``margin`` of zero.
-        needed: about how many moments would decide, where these do not.
-    """
-
-    quantity: str
-    unit: str
-    found: Matched
-    state: Literal["worse", "better", "within margin", "cannot tell"]
-    margin: float
-    needed: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +138,7 @@ class Compared:
     runs: tuple[int, int]
     pairs: int
     differs: Differs
-    differences: list[Change]
+    differences: list[QuantityChange]
     origins: list[Origin]
     notes: list[str]
 
@@ -165,7 +146,7 @@ class Compared:
 def compare(
     a: Path,
     b: Path,
-    quantities: Sequence[str] = COMPARED,
+    names: Sequence[str] = COMPARED,
     confidence: float = CONFIDENCE,
     *,
     changed_on_purpose: bool = False,
@@ -175,14 +156,14 @@ def compare(
     Args:
         a: what was.
         b: what is.
-        quantities: of `quantities.COMPARABLE`.
+        names: of quantities, of `quantities.COMPARABLE`.
         confidence: of all intervals of a table together.
-        changed_on_purpose: see `notes`.
+        changed_on_purpose: see `_unlike`.
 
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
     by different versions of the program, or their attacks had different times.
     """
-    unknown = [name for name in quantities if name not in COMPARABLE]
+    unknown = [name for name in names if name not in COMPARABLE]
     if unknown:
         raise UsageError(f"{no_quantity(unknown[0])}.")
     old, new = _side(a), _side(b)
@@ -191,159 +172,136 @@ def compare(
             f"{a} was made by version {old.version} of deepmf-sumo and {b} by {new.version}: their"
             " attacks differ; repeat both with one version."
         )
-    folders = [result_folders(side.source) for side in (old, new)]
-    of_a, of_b = map(attacks.of_runs, folders)
-    check((of_a, of_b), (a, b))
-    differs = _differs(old.rows, new.rows)
-    settings = _settings(of_a, of_b)
-    unlike = notes(
-        (of_a, of_b),
+    went = _went(old), _went(new)
+    _check(went, (a, b))
+    differs, settings = _differs(old.runs, new.runs), _settings(*went)
+    unlike = _unlike(
+        went,
         planners_differ="planner" in differs or bool(settings),
         networks_differ="network" in differs,
         changed_on_purpose=changed_on_purpose,
     )
     old, new = (_alike(side, set(differs)) for side in (old, new))
     pairs = len(_moments(old) & _moments(new))
-    tagged = _tagged(old, of_a), _tagged(new, of_b)
     return Compared(
-        runs=(_judged(old), _judged(new)),
+        runs=(int(old.runs["judged"].sum()), int(new.runs["judged"].sum())),
         pairs=pairs,
         differs=differs | settings,
-        differences=differences(old, new, quantities, confidence),
-        origins=origins(tagged[0], tagged[1], confidence),
+        differences=differences(old, new, names, confidence),
+        origins=origins(tagged(old), tagged(new), confidence),
         notes=[
             *sessions.notes(one.source for one in (old, new)),
             *unlike,
-            *traffic_notes(*folders),
+            *_traffic_notes(*(result_folders(side.source) for side in (old, new))),
             *_notes(old, new, pairs),
         ],
     )
 
 
+def _went(side: RunSet) -> list[Run]:
+    return [run for run in side.each if run.status == "ok"]
+
+
 def differences(
-    old: Results, new: Results, quantities: Sequence[str], confidence: float
-) -> list[Change]:
+    old: RunSet, new: RunSet, names: Sequence[str], confidence: float
+) -> list[QuantityChange]:
     """Of each quantity the means, and for numbers in how many pairs each side is the worse one.
 
     A few runs with large differences hide many small ones in a mean, but not in that count.
 
     Args:
-        old: rows with the ids of `compare`: those of pairs are equal.
+        old: runs with the ids of `compare`: those of pairs are equal.
         new: the same.
-        quantities: of `quantities.COMPARABLE`.
+        names: of `quantities.COMPARABLE`.
         confidence: of all intervals together.
     """
-    numbers = [name for name in quantities if not COMPARABLE[name].rate]
-    alone = 1 - (1 - confidence) / (len(quantities) + len(numbers))
-    sides = list(new.rows.values()), list(old.rows.values())
-    found = [
-        _change(one, one.name, match(one.name, *sides, alone, one.largest))
-        for one in map(COMPARABLE.__getitem__, quantities)
-    ]
-    return found + [_leaning(COMPARABLE[name], old, new, alone) for name in numbers]
+    numbers = [name for name in names if not COMPARABLE[name].rate]
+    alone = 1 - (1 - confidence) / (len(names) + len(numbers))
+    found = [change(COMPARABLE[name], new.runs, old.runs, alone) for name in names]
+    return found + [_leaning(COMPARABLE[name], old.runs, new.runs, alone) for name in numbers]
 
 
-def _change(quantity: Quantity, name: str, found: Matched, *, share: bool = False) -> Change:
-    """A share of pairs is worse the higher it is, and no difference of it is negligible."""
-    within = RATE if share else quantity.margin
-    state, needed = answer(found, 0.0 if share else quantity.negligible, within)
-    worse = "more" if share or quantity.worse == "higher" else "less"
-    judged: Literal["worse", "better", "within margin", "cannot tell"]
-    if state in {"more", "less"}:
-        judged = "worse" if state == worse else "better"
-    else:
-        judged = "within margin" if state == "within margin" else "cannot tell"
-    return Change(
-        quantity=name,
-        unit="1" if share else quantity.unit,
-        found=found,
-        state=judged,
-        margin=within,
-        needed=needed,
-    )
-
-
-def _leaning(quantity: Quantity, old: Results, new: Results, confidence: float) -> Change:
+def _leaning(
+    quantity: Quantity, old: pd.DataFrame, new: pd.DataFrame, confidence: float
+) -> QuantityChange:
     """The shares of pairs in which one side is worse by more than is negligible."""
     sign = 1.0 if quantity.worse == "higher" else -1.0
-    name, before = quantity.name, _means(old, quantity.name)
-    rows_by_id = {row.run_id: row for row in new.rows.values()}
-    marked: tuple[list[Row], list[Row]] = ([], [])
-    for run_id, value in _means(new, name).items():
-        if run_id in before:
-            worse = sign * (value - before[run_id])
-            for side, each in zip(marked, (-worse, worse), strict=True):
-                values = {name: float(each > quantity.negligible)}
-                side.append(replace(rows_by_id[run_id], values=values))
-    found = match(name, marked[1], marked[0], confidence, largest=1.0)
-    return _change(quantity, f"pairs with worse {name}", found, share=True)
+    of_share = quantities.share(f"pairs with worse {quantity.name}")
+    before, now = _means(old, quantity.name), _means(new, quantity.name)
+    worse = {key: sign * (value - before[key]) for key, value in now.items() if key in before}
+    pairs = new.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
+    pairs = pairs.loc[list(worse)]
+    ours, theirs = (
+        [float(way * one > quantity.negligible) for one in worse.values()] for way in (1.0, -1.0)
+    )
+    marked = pairs.assign(**{of_share.name: ours}), pairs.assign(**{of_share.name: theirs})
+    return change(of_share, marked[0], marked[1], confidence)
 
 
-def _means(side: Results, name: str) -> dict[str, float]:
+def _means(runs: pd.DataFrame, name: str) -> dict[str, float]:
     """The value of each moment and seed that has one."""
     values: dict[str, list[float]] = {}
-    for row in side.rows.values():
-        if name in row.values:
-            values.setdefault(row.run_id, []).append(row.values[name])
+    for run_id, value in zip(runs["run_id"], runs[name], strict=True):
+        if not pd.isna(value):
+            values.setdefault(run_id, []).append(float(value))
     return {run_id: fmean(found) for run_id, found in values.items()}
 
 
-def _side(folder: Path) -> Results:
-    """All runs of the result folders of one side; keys tell their folder."""
-    found: dict[str, Row] = {}
-    versions = set()
-    setups: dict[str, Mapping[str, Any]] = {}
-    for out in result_folders(folder):
-        results = rows.read(out)
-        versions.add(results.version)
-        setups |= results.attacks
-        found |= {f"{out}/runs/{run_id}": row for run_id, row in results.rows.items()}
+def _side(folder: Path) -> RunSet:
+    """All runs of the result folders of one side."""
+    sets = [run_sets.read(out) for out in result_folders(folder)]
+    versions = {one.version for one in sets}
     if len(versions) > 1:
         named = " and ".join(sorted(versions))
         raise UsageError(f"{folder} holds results of versions {named}: compare one at a time.")
-    return Results(source=folder, version=versions.pop(), rows=found, attacks=setups)
+    return RunSet(
+        source=folder,
+        version=versions.pop(),
+        runs=pd.concat([one.runs for one in sets], ignore_index=True),
+        attacks={digest: setup for one in sets for digest, setup in one.attacks.items()},
+        each=tuple(run for one in sets for run in one.each),
+    )
 
 
-def _differs(old: Mapping[str, Row], new: Mapping[str, Row]) -> Differs:
+def _differs(old: pd.DataFrame, new: pd.DataFrame) -> Differs:
     """What the two sides do not have in common, with the values of each.
 
     Of a run that is not there yet only the id is known, not its planner or network.
     """
-    sides = [[row for row in side.values() if row.status != "missing"] for side in (old, new)]
+    sides = [side[side["status"] != MISSING] for side in (old, new)]
     values = {
-        name: tuple(tuple(sorted({str(getattr(row, name)) for row in side})) for side in sides)
-        for name in _IDENTITY
+        name: tuple(tuple(sorted(set(side[column]))) for side in sides)
+        for name, column in _IDENTITY.items()
     }
     return {name: (was, now) for name, (was, now) in values.items() if was != now}
 
 
-def _alike(side: Results, differs: set[str]) -> Results:
-    """Rows whose ids leave out what is meant to be different: those of pairs are equal."""
-    found = {}
-    for key, row in side.rows.items():
-        kept = {name: "" if name in differs else str(getattr(row, name)) for name in _IDENTITY}
-        name = "--".join((*kept.values(), row.scene, str(row.seed)))
-        found[key] = replace(
-            row, run_id=name, spec=kept["spec"], method=kept["method"], planner=kept["planner"]
-        )
-    return replace(side, rows=found)
+def _alike(side: RunSet, differs: set[str]) -> RunSet:
+    """Runs whose ids leave out what is meant to be different: those of pairs are equal.
+
+    ``run`` is what they were.
+    """
+    runs = side.runs
+    blank = pd.Series("", index=runs.index, dtype=object)
+    kept = {
+        column: blank if name in differs else runs[column] for name, column in _IDENTITY.items()
+    }
+    parts = zip(*kept.values(), runs["scene"], map(str, runs["seed"]), strict=True)
+    kept |= {"network": runs["network"], "run": runs["run_id"]}
+    return replace(side, runs=runs.assign(**kept, run_id=["--".join(part) for part in parts]))
 
 
-def _moments(side: Results) -> set[str]:
-    """Moments and seeds with an attacked vehicle, each once; rows as of `_alike`."""
-    return {row.run_id for row in side.rows.values() if row.judged}
+def _moments(side: RunSet) -> set[str]:
+    """Moments and seeds with an attacked vehicle, each once; runs as of `_alike`."""
+    return set(side.runs.loc[side.runs["judged"], "run_id"])
 
 
-def _judged(side: Results) -> int:
-    return sum(row.judged for row in side.rows.values())
-
-
-def _settings(old: Mapping[str, Result], new: Mapping[str, Result]) -> Differs:
+def _settings(old: Sequence[Run], new: Sequence[Run]) -> Differs:
     """The settings that both sides' planners have, with other values.
 
     A planner's own settings say nothing beside a planner that has none of them.
     """
-    values = [[one["settings"]["planner"] for one in side.values()] for side in (old, new)]
+    values = [[run.result["settings"]["planner"] for run in side] for side in (old, new)]
     known = [{name for settings in side for name in settings} for side in values]
     names = sorted(known[0] & known[1])
     found = {
@@ -361,17 +319,7 @@ def _text(value: Any) -> str:
     return "not set" if value is None else str(value)
 
 
-def _tagged(side: Results, results: Mapping[str, Result]) -> list[Tagged]:
-    """The attacked runs with where and how each hit was."""
-    known = tags(results, result_folders(side.source))
-    return [
-        Tagged(row=row, tags=known.get(key, {}))
-        for key, row in side.rows.items()
-        if "collision_rate" in row.values
-    ]
-
-
-def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
+def _notes(old: RunSet, new: RunSet, pairs: int) -> Iterable[str]:
     fewer = min(len(_moments(side)) for side in (old, new))
     if pairs < fewer:
         yield (
@@ -382,14 +330,14 @@ def _notes(old: Results, new: Results, pairs: int) -> Iterable[str]:
     if unlike:
         yield f"the attack is set up differently ({unlike}): differences may be the attack's"
     for name, side in (("A", old), ("B", new)):
-        if len({row.run_id for row in side.rows.values()}) < len(side.rows):
+        if side.runs["run_id"].nunique() < len(side.runs):
             yield f"{name} holds several runs of one moment and seed: their means are compared"
-        lost = sum(row.status != "ok" for row in side.rows.values())
+        lost = int((side.runs["status"] != "ok").sum())
         if lost:
             yield f"{lost} runs of {name} failed, timed out or are missing, and are not compared"
 
 
-def _attacks_differ(old: Results, new: Results) -> str:
+def _attacks_differ(old: RunSet, new: RunSet) -> str:
     """The settings of the attack that are not the same on both sides, with their values.
 
     Which vehicle an attack aims at belongs to the moment where it changes from run to run, as
@@ -408,7 +356,6 @@ def _attacks_differ(old: Results, new: Results) -> str:
     return "; ".join(sentences)
 
 
-def _setups(side: Results) -> list[Mapping[str, Any]]:
+def _setups(side: RunSet) -> list[Mapping[str, Any]]:
     """How the runs of a side were attacked, each setup once."""
-    used = {row.attack for row in side.rows.values() if row.attack}
-    return [side.attacks[digest] for digest in sorted(used)]
+    return [side.attacks[digest] for digest in sorted(set(side.runs["setup"]) - {""})]

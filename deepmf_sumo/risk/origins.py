@@ -4,32 +4,27 @@ The share of all attacked runs that end in a hit at a place, or of a kind: over 
 kinds, the shares add up to the rate of hits, and their differences to its difference.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final, Literal
 
+import pandas as pd
+
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate.rows import Row
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
-from deepmf_sumo.results import quantities
-from deepmf_sumo.results.findings import said
-from deepmf_sumo.results.matching import Matched, answer, match
-from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results.comparison import change
+from deepmf_sumo.results.findings import NOT_JUDGED
+from deepmf_sumo.results.matching import KEYS, Matched
+from deepmf_sumo.results.quantities import share
+from deepmf_sumo.results.run_sets import RunSet
+from deepmf_sumo.results.stored import result_folders
 from deepmf_sumo.risk import attacks
 
 Dimension = Literal["place", "accident", "sector", "worth"]
 DIMENSIONS: Final[tuple[Dimension, ...]] = ("place", "accident", "sector", "worth")
-_PART: Final = "part"
-Tags = Mapping[Dimension, str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tagged:
-    """An attacked run, and of its hit: place, accident, sector (a number), worth in words."""
-
-    row: Row
-    tags: Tags
+State = Literal["more", "fewer", "within margin", "cannot tell"]
+_PART: Final = share("part")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,52 +44,64 @@ class Origin:
     hits: tuple[int, int]
     runs: tuple[int, int]
     found: Matched
-    state: Literal["more", "fewer", "within margin", "cannot tell"]
+    state: State
     needed: int | None = None
 
 
-def tags(results: Mapping[str, Result], folders: Sequence[Path]) -> Mapping[str, Tags]:
-    """Of each hit, by ``OUT/runs/RUN``; places on SUMO networks alone.
+def tagged(side: RunSet) -> pd.DataFrame:
+    """The attacked runs, with a column for each dimension: what a hit was, None without one.
 
-    Args:
-        results: of `attacks.of_runs`.
-        folders: their result folders.
+    Places are those of SUMO networks alone.
     """
-    hits = {key: one for key, one in results.items() if attacked(one) and quantities.hit(one)}
-    found = {key: _kinds(one) for key, one in hits.items()}
+    runs = side.runs[side.runs["collision_rate"].notna()]
+    hits, places = runs[runs["hit"]], _places(side)
+    keys = zip(hits["folder"], hits["run"], strict=True)
+    values: dict[Dimension, list[str | None]] = {
+        "place": [places.get(key) for key in keys],
+        "accident": [_accident(number) for number in hits["accident_type"]],
+        "sector": [_sector(number) for number in hits["impact_sector"]],
+        "worth": [None if worth == NOT_JUDGED else worth for worth in hits["worth"]],
+    }
+    found = pd.DataFrame(values, index=hits.index, dtype=object)
+    return runs[list(KEYS)].join(found)
+
+
+def _places(side: RunSet) -> dict[tuple[str, str], str]:
+    """Titles of the places of hits, by folder and run."""
     try:
-        networks = attacks.read(folders)
+        networks = attacks.read(result_folders(side.source))
     except UsageError:  # recorded scenes have no network to name places on
-        networks = []
+        return {}
+    found: dict[tuple[str, str], str] = {}
     for network in networks:
         for one in network.attacks:
             if one.hit:
-                own = found[f"{one.folder}/runs/{one.run_id}"]
-                own.setdefault("place", network.places.site(one.decided) or "elsewhere")
+                title = network.places.site(one.decided) or "elsewhere"
+                found.setdefault((one.folder, one.run_id), title)
     return found
 
 
-def _kinds(result: Result) -> dict[Dimension, str]:
-    accident, sector = quantities.accident(result), quantities.sector(result)
-    worth = quantities.worth(result)
-    kinds: dict[Dimension, str] = {}
-    if accident is not None:
-        kinds["accident"] = ACCIDENT_TYPES[accident].replace("_", " ")
-    if sector is not None:
-        kinds["sector"] = str(sector)
-    if worth is not None:
-        kinds["worth"] = said(worth)
-    return kinds
+def _accident(number: float) -> str | None:
+    return None if math.isnan(number) else ACCIDENT_TYPES[round(number)].replace("_", " ")
 
 
-def origins(old: Sequence[Tagged], new: Sequence[Tagged], confidence: float) -> list[Origin]:
+def _sector(number: float) -> str | None:
+    return None if math.isnan(number) else str(int(number))
+
+
+def origins(old: pd.DataFrame, new: pd.DataFrame, confidence: float) -> list[Origin]:
     """All places and kinds with hits; of each dimension the greatest differences first.
 
     The intervals of one dimension hold together with ``confidence``.
+
+    Args:
+        old: attacked runs as of `tagged`.
+        new: the same.
+        confidence: of all intervals of a dimension.
     """
     table: list[Origin] = []
     for dimension in DIMENSIONS:
-        values = sorted({one.tags[dimension] for one in (*old, *new) if dimension in one.tags})
+        values = sorted({str(one) for side in (old, new) for one in side[dimension].dropna()})
         alone = 1 - (1 - confidence) / max(len(values), 1)
         group = [_origin(dimension, value, old, new, alone) for value in values]
         table += sorted(group, key=lambda one: (-abs(_shift(one)), one.value))
@@ -102,41 +109,29 @@ def origins(old: Sequence[Tagged], new: Sequence[Tagged], confidence: float) -> 
 
 
 def _origin(
-    dimension: Dimension,
-    value: str,
-    old: Sequence[Tagged],
-    new: Sequence[Tagged],
-    confidence: float,
+    dimension: Dimension, value: str, old: pd.DataFrame, new: pd.DataFrame, confidence: float
 ) -> Origin:
-    sides = [_marked(side, dimension, value) for side in (old, new)]
-    found = match(_PART, sides[1], sides[0], confidence, largest=1.0)
-    state, needed = _state(found)
-    hits = [round(sum(row.values[_PART] for row in side)) for side in sides]
+    """A hit of that kind counts as 1, any other run as 0."""
+    sides = [
+        side.assign(**{_PART.name: (side[dimension] == value).astype(float)}) for side in (old, new)
+    ]
+    found = change(_PART, sides[1], sides[0], confidence)
+    hits = [round(side[_PART.name].sum()) for side in sides]
     return Origin(
         dimension=dimension,
         value=value,
         hits=(hits[0], hits[1]),
         runs=(len(old), len(new)),
-        found=found,
-        state=state,
-        needed=needed,
+        found=found.found,
+        state=_STATE.get(found.state, "cannot tell"),
+        needed=found.needed,
     )
 
 
-def _marked(side: Sequence[Tagged], dimension: Dimension, value: str) -> list[Row]:
-    """The rows with 1 for a hit of that kind, else 0."""
-    return [
-        replace(one.row, values={_PART: float(one.tags.get(dimension) == value)}) for one in side
-    ]
+_STATE: Final[Mapping[str, State]] = {
+    "worse": "more", "better": "fewer", "within margin": "within margin",
+}  # fmt: skip
 
 
 def _shift(origin: Origin) -> float:
     return origin.found.difference.mean if origin.found.difference else 0.0
-
-
-def _state(
-    found: Matched,
-) -> tuple[Literal["more", "fewer", "within margin", "cannot tell"], int | None]:
-    """``within margin``: that of rates."""
-    state, needed = answer(found, 0.0, quantities.RATE)
-    return ("fewer" if state == "less" else state), needed

@@ -32,9 +32,10 @@ from study import WISHES
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import DeepmfError, UsageError
-from deepmf_sumo.gate import rows
+from deepmf_sumo.results import run_sets
+from deepmf_sumo.results.comparison import QuantityChange
 from deepmf_sumo.risk import attacks, table
-from deepmf_sumo.risk.comparison import COMPARED, CONFIDENCE, Change, differences
+from deepmf_sumo.risk.comparison import COMPARED, CONFIDENCE, differences
 from deepmf_sumo.screening import GUIDELINES, screen
 from deepmf_sumo.screening.findings import RULES, SEVERITIES, Finding
 
@@ -69,7 +70,7 @@ def row(folder: Path, place: dict[str, Any], *, attacked: bool) -> dict[str, Any
         name: _screened(folder / name / place["configuration"], place["junction"])
         for name in ("flawed", "sound")
     }
-    changes: list[Change] = []
+    changes: list[QuantityChange] = []
     if attacked:
         for name, side in sides.items():
             side.update(_ranks(folder / f"{name}-attacks", place))
@@ -145,13 +146,12 @@ def _at(network: attacks.Network, one: table.Row, junction: str) -> bool:
     return network.places.net.edges[one.place].end == junction
 
 
-def _compared(folder: Path, runs: Sequence[str]) -> list[Change]:
+def _compared(folder: Path, runs: Sequence[str]) -> list[QuantityChange]:
     """As `deepmf-sumo compare` does, of these runs alone: one name, one id on both sides."""
     sides = []
     for name in ("flawed", "sound"):
-        found = rows.read(folder / f"{name}-attacks")
-        kept = {key: one for key, one in found.rows.items() if one.run_id in runs}
-        sides.append(replace(found, rows=kept))
+        found = run_sets.read(folder / f"{name}-attacks")
+        sides.append(replace(found, runs=found.runs[found.runs["run_id"].isin(runs)]))
     return differences(sides[0], sides[1], COMPARED, CONFIDENCE) if runs else []
 
 

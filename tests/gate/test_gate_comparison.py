@@ -13,6 +13,8 @@ from tests.support import gate_doubles
 
 IMPACT = Baseline(quantities=("impact_mps",))
 RATE = Baseline(quantities=("av_collision_rate",))
+PASSED = "within margin"
+"""What a gate calls passed."""
 
 
 def rate_of(hits, of=20, first=0, seed=0):
@@ -40,7 +42,7 @@ def states(wanted, new, old):
 
 def test_equal_results_pass():
     [found] = compared(RATE, rate_of(7), rate_of(7))
-    assert (found.state, found.found.by, found.found.count) == ("passed", "pairs", 20)
+    assert (found.state, found.found.by, found.found.count) == ("within margin", "pairs", 20)
     assert (found.found.old, found.found.new) == (0.35, 0.35)
     assert found.found.difference == pytest.approx((0, -0.1391, 0.1391), abs=1e-4)
 
@@ -50,7 +52,7 @@ def test_few_equal_specs_rule_nothing_out(specs):
     """None of n has changed: 1 - 0.05^(1 / n) of others may have, which is below 0.2 from 14 on."""
     [found] = compared(RATE, rate_of(0, of=specs), rate_of(0, of=specs))
     assert (found.state, found.needed) == ("cannot tell", 14)
-    assert states(RATE, rate_of(0, of=14), rate_of(0, of=14)) == ["passed"]
+    assert states(RATE, rate_of(0, of=14), rate_of(0, of=14)) == ["within margin"]
     impact = values_of("impact_mps", [0.0] * specs)
     [found] = compared(IMPACT, impact, impact)
     assert (found.state, found.needed) == ("cannot tell", 19)
@@ -75,7 +77,7 @@ def test_a_worsening_beyond_the_limit_hardly_ever_passes(name, step, rule_out, s
             found = states(RATE, rate_of(worse, of=specs), rate_of(0, of=specs))
         else:
             found = states(Baseline(quantities=(name,)), values_of(name, values), old)
-        passed += binom.pmf(worse, specs, share) * (found[0] in {"passed", "better"})
+        passed += binom.pmf(worse, specs, share) * (found[0] in {"within margin", "better"})
         if passed > 0 and found == ["cannot tell"]:
             break
     assert passed <= 0.05 + 0.03
@@ -90,14 +92,14 @@ def test_a_planner_that_is_a_bit_better_and_sometimes_much_worse_hardly_ever_pas
             found = states(
                 Baseline(), values_of("impact_mps", new), values_of("impact_mps", [5.0] * specs)
             )
-            passed += binom.pmf(worse, specs, 0.3) * (found[0] in {"passed", "better"})
+            passed += binom.pmf(worse, specs, 0.3) * (found[0] in {"within margin", "better"})
         assert passed <= 0.05 + 0.03
 
 
 @pytest.mark.parametrize(
     ("old", "new", "state"),
     [
-        (7, 7, "passed"), (7, 8, "cannot tell"), (7, 11, "cannot tell"), (7, 12, "worse"),
+        (7, 7, "within margin"), (7, 8, "cannot tell"), (7, 11, "cannot tell"), (7, 12, "worse"),
         (13, 7, "better"),
         (0, 20, "worse"),
     ],
@@ -118,11 +120,11 @@ def test_less_time_to_collision_is_worse():
 def test_tolerance_is_allowed_for():
     wanted = Baseline(quantities=("ttc_s",), tolerance={"ttc_s": 1.0})
     old, new = values_of("ttc_s", [2.0] * 200), values_of("ttc_s", [1.25] * 200)
-    assert states(wanted, new, old) == ["passed"]
+    assert states(wanted, new, old) == ["within margin"]
     assert states(Baseline(quantities=("ttc_s",)), new, old) == ["worse"]
 
 
-@pytest.mark.parametrize(("by", "state"), [(1e-5, "passed"), (0.04, "passed"), (9.0, "worse")])
+@pytest.mark.parametrize(("by", "state"), [(1e-5, PASSED), (0.04, PASSED), (9.0, "worse")])
 def test_rounding_is_not_a_regression(by, state):
     """Every run a little nearer, to the last: sure, but it does not matter."""
     wanted = Baseline(quantities=("min_gap_m",))
@@ -159,7 +161,7 @@ def test_what_may_be_much_worse_does_not_pass():
     [back] = compared(IMPACT, old, new)
     assert back.state == "cannot tell"
     wide = Baseline(quantities=("impact_mps",), rule_out={"impact_mps": 15.0})
-    assert states(wide, new, old) == ["passed"]
+    assert states(wide, new, old) == ["within margin"]
 
 
 def test_how_many_units_would_tell():
@@ -228,7 +230,7 @@ def of_scenes(first, hits, seeds, scenes=12):
 def test_scenes_with_other_seeds_are_paired_by_scene():
     old, new = of_scenes(0, 2, range(5), 14), of_scenes(0, 2, range(50, 55), 14)
     [found] = compared(RATE, new, old)
-    assert (found.found.by, found.found.count, found.state) == ("scenes", 14, "passed")
+    assert (found.found.by, found.found.count, found.state) == ("scenes", 14, "within margin")
     assert found.found.difference.mean == 0
     assert states(RATE, of_scenes(0, 9, range(50, 55), 14), old) == ["worse"]
 
@@ -255,7 +257,7 @@ def test_each_spec_by_itself():
     wanted = Baseline(quantities=("av_collision_rate",), by="spec")
     found = compared(wanted, folder("two"), folder(""))
     assert {one.group: one.state for one in found} == {
-        "spec four": "passed", "spec one": "passed", "spec three": "passed", "spec two": "worse",
+        "spec four": PASSED, "spec one": PASSED, "spec three": PASSED, "spec two": "worse",
     }  # fmt: skip
 
 
@@ -266,7 +268,7 @@ def test_what_is_shown_is_not_judged():
     old, new = (gate_doubles.results_of(side, Path()) for side in rows)
     found = {one.quantity: one.state for one in comparison.compare(IMPACT, new, old)}
     assert found == {
-        "impact_mps": "passed", "av_collision_rate": "not judged",
+        "impact_mps": "within margin", "av_collision_rate": "not judged",
         "finding_rate": "not judged", "ttc_s": "not judged", "min_gap_m": "not judged",
     }  # fmt: skip
 

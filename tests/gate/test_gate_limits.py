@@ -2,9 +2,8 @@ import pytest
 
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.gate import thresholds
-from deepmf_sumo.gate.rows import Row
+from deepmf_sumo.results.run_sets import frame_of
 
-from tests.support import gate_doubles
 from tests.support.gate_doubles import row
 
 
@@ -15,7 +14,7 @@ def load(tmp_path, text):
 
 
 def judge(tmp_path, text, rows):
-    found = thresholds.judge(load(tmp_path, text), rows)
+    found = thresholds.judge(load(tmp_path, text), frame_of(rows))
     return {(one.group, one.limit): one for one in found}
 
 
@@ -61,7 +60,7 @@ def test_a_gap_that_was_not_measured_is_no_basis(tmp_path):
 
 
 def test_failed_runs_and_too_few(tmp_path):
-    lost = Row(run_id="x", spec="made up", network="a", scene="a", seed=1, status="timeout")
+    lost = row(run_id="x", status="timeout", judged=False)
     found = judge(tmp_path, "min_judged_runs: 2", [row(), lost])
     assert found["all runs", "max_failed_runs"].state == "unfit"
     assert found["all runs", "max_failed_runs"].blamed == ("x",)
@@ -123,10 +122,6 @@ def test_a_file_without_version(tmp_path):
 def test_the_baseline_lies_beside_the_file(tmp_path):
     assert load(tmp_path, "baseline: b.json").baseline.results == str(tmp_path / "b.json")
     assert load(tmp_path, "baseline: {confidence: 0.9}").baseline.results is None
-
-
-def test_doubles_are_judged():
-    assert gate_doubles.row().judged
 
 
 @pytest.mark.parametrize(

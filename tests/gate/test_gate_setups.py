@@ -5,9 +5,9 @@ import json
 import pytest
 
 from deepmf_sumo import gate
-from deepmf_sumo.gate import rows, setups
 from deepmf_sumo.gate.thresholds import Thresholds
 from deepmf_sumo.gate.verdict import text, write_junit
+from deepmf_sumo.results import run_sets, setups
 
 from tests.support import gate_doubles
 
@@ -145,15 +145,15 @@ def test_an_opponent_of_each_moment_is_no_setting(tmp_path):
         return gate_doubles.write_folder(tmp_path / name, runs)
 
     new, old = side("new", 0), side("old", 5)
-    assert setups.differences(rows.read(new), rows.read(old)) == []
+    assert setups.differences(run_sets.read(new), run_sets.read(old)) == []
 
 
 def test_a_file_keeps_the_setup(tmp_path):
     old, new = folder(tmp_path / "old"), folder(tmp_path / "new", traffic="log")
-    rows.write(tmp_path / "base.json", rows.read(old))
-    stored = rows.read(tmp_path / "base.json")
-    assert setups.differences(rows.read(old), stored) == []
-    [told] = setups.differences(rows.read(new), stored)
+    run_sets.write(tmp_path / "base.json", run_sets.read(old))
+    stored = run_sets.read(tmp_path / "base.json")
+    assert setups.differences(run_sets.read(old), stored) == []
+    [told] = setups.differences(run_sets.read(new), stored)
     assert told == "traffic was 'sumo' and is 'log' (6 runs)"
 
 
@@ -166,11 +166,11 @@ def test_files_of_earlier_versions_are_compared_by_what_they_say(tmp_path):
             if out == new:
                 values["settings"]["adversary"]["rule"] = "any"
             file.write_text(json.dumps(values))
-    [told] = setups.differences(rows.read(new), rows.read(old))
+    [told] = setups.differences(run_sets.read(new), run_sets.read(old))
     assert told.startswith("adversary.rule was not said and is 'any'")
-    notes = list(setups.notes(rows.read(new), rows.read(old)))
+    notes = list(setups.notes(run_sets.read(new), run_sets.read(old)))
     assert any("of an earlier version" in note for note in notes)
-    assert setups.differences(rows.read(old), rows.read(old)) == []
+    assert setups.differences(run_sets.read(old), run_sets.read(old)) == []
 
 
 def test_runs_that_never_began_belong_to_their_spec(tmp_path):
@@ -192,7 +192,8 @@ def test_runs_that_never_began_belong_to_their_spec(tmp_path):
     assert found.exit_code == 3
     state = {(one.group, one.limit): (one.state, one.runs) for one in found.judgements}
     assert state["spec Cut in*", "max_failed_runs"] == ("unfit", 3)
-    assert rows.read(out).rows["cut-in-fast-1--a--2"].planner == "idm lane"
+    runs = run_sets.read(out).runs.set_index("run_id")
+    assert runs["planner_label"]["cut-in-fast-1--a--2"] == "idm lane"
     other = {"cut-in-fast-1--a--2": known | {"part": "figures"}}
     file.write_text(json.dumps(manifest | {"planned": other}))
     assert gate.check(out, wanted).exit_code == 0
@@ -215,10 +216,10 @@ def test_of_an_earlier_manifest_other_runs_say_the_name(tmp_path):
     for one in runs:
         one["run_id"] = f"cut-in--a--{one['seed']}"
     out = gate_doubles.write_folder(tmp_path / "out", runs, ["cut-in--a--2", "other--b--0"])
-    found = rows.read(out).rows
-    row = found["cut-in--a--2"]
-    assert (row.spec, row.network, row.planner, row.seed) == ("Cut_in", "crossing", "idm lane", 2)
-    assert found["other--b--0"].spec == "other"
+    found = run_sets.read(out).runs.set_index("run_id")
+    names = ["spec", "network", "planner_label", "seed"]
+    assert list(found.loc["cut-in--a--2", names]) == ["Cut_in", "crossing", "idm lane", 2]
+    assert found["spec"]["other--b--0"] == "other"
 
 
 def test_the_verdict_says_the_profile(tmp_path):

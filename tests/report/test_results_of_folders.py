@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 import deepmf_sumo
@@ -58,18 +57,6 @@ def test_what_a_run_did_is_read_when_it_is_asked_for(folder):
     assert (failed.recorded, failed.has_result) == (False, False)
     with pytest.raises(UsageError, match=r"result\.json cannot be read: No such file"):
         _ = failed.result
-
-
-def test_a_frame_has_a_row_a_run_with_its_metrics(folder):
-    frame = Results.open(folder.out).frame()
-    assert len(frame) == 5
-    assert frame["folder"].unique().tolist() == [str(folder.out)]
-    assert frame["min_gap"].iloc[0] == 1.25
-    assert np.isnan(frame["min_gap"].iloc[1:]).all()
-    assert frame["ttc_min"].iloc[1] == 0.5
-    assert frame["contact_speed_mps"].iloc[0] > 0
-    assert frame["seed"].tolist() == [0] * 5
-    assert frame["outcome"].isna().tolist() == [False] * 4 + [True]
 
 
 def test_a_folder_of_folders_is_all_of_them(folder, tmp_path):

@@ -8,10 +8,9 @@ import pytest
 
 import deepmf_sumo
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import rows
 from deepmf_sumo.report.comparison import groups
 from deepmf_sumo.report.page import document
-from deepmf_sumo.results import stored
+from deepmf_sumo.results import run_sets, stored
 from deepmf_sumo.results.result import COLUMNS
 from deepmf_sumo.sweep import shards
 from deepmf_sumo.tasks import is_run_id, run_id_of
@@ -62,7 +61,7 @@ def test_merge_refuses_a_run_that_reaches_elsewhere_by_a_link(tmp_path):
 def test_every_reader_refuses_ids_that_are_no_names_of_runs(tmp_path, run_id):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result()], missing=[run_id])
     with pytest.raises(UsageError, match=r"manifest\.json is damaged: .* not the id of a run"):
-        rows.read(out)
+        run_sets.read(out)
     with pytest.raises(UsageError, match="is not the id of a run"):
         stored.run_folder(out, run_id, "runs.csv")
     row = dict.fromkeys(COLUMNS, "") | {"run_id": run_id, "status": "ok", "seed": "0"}
@@ -104,7 +103,7 @@ def test_ids_of_our_own_runs_are_ids():
 def test_a_result_of_another_shape_is_named_with_its_key(tmp_path, key, value):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result() | {key: value}])
     with pytest.raises(UsageError, match=rf"result\.json is not a result of .* \({key}"):
-        rows.read(out)
+        run_sets.read(out)
 
 
 def test_a_result_that_says_it_is_of_another_folder(tmp_path):

@@ -2,9 +2,9 @@
 
 import pytest
 
-from deepmf_sumo.gate.rows import read
 from deepmf_sumo.gate.thresholds import Thresholds, judge
 from deepmf_sumo.plans.tables import row_of
+from deepmf_sumo.results import run_sets
 from deepmf_sumo.results.folder import summary
 
 from tests.support import gate_doubles
@@ -28,9 +28,9 @@ def test_of_the_summary_that_run_prints(seeds):
 
 @pytest.mark.parametrize("seeds", [1, 10])
 def test_of_thresholds(tmp_path, seeds):
-    rows = read(gate_doubles.write_folder(tmp_path / "out", runs(seeds))).rows.values()
+    found = run_sets.read(gate_doubles.write_folder(tmp_path / "out", runs(seeds))).runs
     limits = Thresholds.model_validate({"version": 1, "max_av_collision_rate": 0.5})
-    [judged] = [one for one in judge(limits, list(rows)) if one.limit == "max_av_collision_rate"]
+    [judged] = [one for one in judge(limits, found) if one.limit == "max_av_collision_rate"]
     assert (judged.value, judged.runs) == (1.0, seeds)
     assert judged.interval == pytest.approx((0.025, 1.0), abs=1e-6)
 

@@ -7,7 +7,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.risk import comparison as files
 from deepmf_sumo.results import statistics
 from deepmf_sumo.risk import comparison
-from deepmf_sumo.risk.origins import Tagged, origins
+from deepmf_sumo.risk.origins import DIMENSIONS, origins
 
 from tests.support import gate_doubles
 from tests.support.risk_doubles import Attacks, eastward
@@ -150,14 +150,12 @@ def test_shares_of_places_add_up_to_the_difference():
     def tagged(rate):
         rows = [gate_doubles.row(f"m{n}", collision_rate=0.0) for n in range(30)]
         places = rng.choice(["J1", "J2", "J3"], 30)
-        return [
-            Tagged(row=row, tags={"place": str(place)} if rng.random() < rate else {})
-            for row, place in zip(rows, places, strict=True)
-        ]
+        found = gate_doubles.results_of(rows, Path()).runs.assign(**dict.fromkeys(DIMENSIONS))
+        return found.assign(place=[str(place) if rng.random() < rate else None for place in places])
 
     old, new = tagged(0.2), tagged(0.6)
     found = origins(old, new, 0.95)
-    rate = [sum(bool(one.tags) for one in side) / 30 for side in (old, new)]
+    rate = [side["place"].notna().mean() for side in (old, new)]
     assert sum(one.found.difference.mean for one in found) == pytest.approx(rate[1] - rate[0])
 
 

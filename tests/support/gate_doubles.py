@@ -2,7 +2,8 @@
 
 import json
 
-from deepmf_sumo.gate.rows import Results, Row
+from deepmf_sumo.results import run_sets
+from deepmf_sumo.results.run_sets import RunSet
 
 
 def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
@@ -62,12 +63,14 @@ def write_folder(out, results, missing=(), version="0.1.0"):
 
 
 def row(scene="a", seed=0, *, spec="made up", **values):
-    """A judged run with these values."""
-    return Row(
-        run_id=f"{spec}--{scene}--{seed}", spec=spec, network=scene, scene=scene, seed=seed,
-        method=spec, planner="idm lane", status="ok", judged=True, values=values,
-    )  # fmt: skip
+    """A judged run with these values, and with columns that differ from the usual ones."""
+    return {
+        "run_id": f"{spec}--{scene}--{seed}", "spec": spec, "network": scene, "scene": scene,
+        "seed": seed, "method": spec, "planner_label": "idm lane", "status": "ok", "judged": True,
+        "expectations_broken": (), **values,
+    }  # fmt: skip
 
 
 def results_of(rows, source, version="0.1.0"):
-    return Results(source=source, version=version, rows={one.run_id: one for one in rows})
+    runs = run_sets.frame_of(list({one["run_id"]: one for one in rows}.values()))
+    return RunSet(source=source, version=version, runs=runs)

@@ -7,9 +7,10 @@ from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.gate.verdict import difference, figure
 from deepmf_sumo.report.table import SECTORS, counted
+from deepmf_sumo.results.comparison import QuantityChange
 from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import RATE
-from deepmf_sumo.risk.comparison import Change, Compared
+from deepmf_sumo.risk.comparison import Compared
 from deepmf_sumo.risk.origins import Origin
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
@@ -76,14 +77,14 @@ def _unit(compared: Compared) -> str:
     return "spec" if several and all(several) else "attacked moment"
 
 
-def _state(one: Change, unit: str) -> str:
+def _state(one: QuantityChange, unit: str) -> str:
     """What the interval says: the margin that it lies in, or how many would tell."""
     if one.state == "within margin":
         return f"at most {figure(one.margin, one.unit)} apart"
     return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
-def _undecided(one: Change | Origin, unit: str) -> str:
+def _undecided(one: QuantityChange | Origin, unit: str) -> str:
     """With about how many attacks would decide, where that can be told."""
     if not one.needed:
         return "cannot tell"

@@ -6,14 +6,16 @@ but `MAY_DIFFER`, with all defaults of the adversary, and what is in its files a
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
+
+import pandas as pd
 
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import applies_to, described
 
 if TYPE_CHECKING:
-    from deepmf_sumo.gate.rows import Results, Row
+    from deepmf_sumo.results.run_sets import RunSet
 
 MAY_DIFFER: Final = (
     "version",  # of the spec's grammar: what it stands for is in the other keys
@@ -87,7 +89,7 @@ def moment_of(result: Result) -> str:
     return f"{vehicle} at {source.get('start_s', 0):g} s" if vehicle else ""
 
 
-def differences(new: "Results", old: "Results") -> list[str]:
+def differences(new: "RunSet", old: "RunSet") -> list[str]:
     """A sentence for each way in which the attack differs from the baseline's, most runs first.
 
     A run is compared with that of the same id, else with all of the same spec.
@@ -95,17 +97,47 @@ def differences(new: "Results", old: "Results") -> list[str]:
     found: Counter[str] = Counter()
     if new.version != old.version:
         told = f"the version of deepmf-sumo was {old.version} and is {new.version}"
-        found[told] = len(new.rows)
-    chosen = _aimed(new) | _aimed(old)
-    for row, others in _partners(new, old):
-        found.update(_differing(new, old, row, others, chosen))
+        found[told] = len(new.runs)
+    sides = _known(new), _known(old)
+    chosen = set().union(*(_aimed(*each) for each in zip(sides, (new, old), strict=True)))
+    run: Any
+    for run in sides[0].itertuples():
+        others = sides[1][sides[1]["run_id"] == run.run_id]
+        same = len(others) > 0
+        if not same:
+            others = sides[1][sides[1]["spec"] == run.spec]
+        if len(others):
+            mine = new.attacks.get(str(run.setup), {})
+            ignored = {WHOM} if run.spec in chosen and not same else set()
+            each = [old.attacks.get(setup, {}) for setup in dict.fromkeys(others["setup"])]
+            apart = [_between(mine, one, differing(mine, one) - ignored) for one in each]
+            nearest = min(apart, key=len)
+            was = others["moment"].iloc[0] if same else ""
+            if was and run.moment and was != run.moment:
+                nearest = nearest | {f"the moment was {was} and is {run.moment}"}
+            found.update(sorted(nearest))
     return [f"{what} ({count} run{'s' * (count != 1)})" for what, count in found.most_common()]
 
 
-def notes(new: "Results", old: "Results") -> Iterator[str]:
+def _known(side: "RunSet") -> pd.DataFrame:
+    """The runs whose setup is known."""
+    return side.runs[side.runs["setup"] != ""]
+
+
+def _aimed(known: pd.DataFrame, side: "RunSet") -> set[str]:
+    """Specs whose attacks aim at a vehicle of each moment, as with ``adversary.opponent=met``."""
+    whom: dict[str, set[Any]] = {}
+    for spec, setup in zip(known["spec"], known["setup"], strict=True):
+        whom.setdefault(spec, set()).add(side.attacks.get(setup, {}).get(WHOM))
+    return {spec for spec, values in whom.items() if len(values) > 1}
+
+
+def notes(new: "RunSet", old: "RunSet") -> Iterator[str]:
     """What may also explain a difference, and cannot be told from a change of the planner."""
-    pairs = [(row, old.rows[row.run_id]) for row in new.rows.values() if row.run_id in old.rows]
-    changed = sum(bool(a.source and b.source and a.source != b.source) for a, b in pairs)
+    ours, theirs = (side.runs[["run_id", "source"]] for side in (new, old))
+    pairs = ours.merge(theirs, on="run_id", suffixes=("_new", "_old"))
+    told = pairs[(pairs["source_new"] != "") & (pairs["source_old"] != "")]
+    changed = int((told["source_new"] != told["source_old"]).sum())
     if changed:
         yield (
             f"the network, its traffic or the recording has other content in {changed} of"
@@ -121,48 +153,6 @@ def notes(new: "Results", old: "Results") -> Iterator[str]:
 
 def _is_less(setup: Mapping[str, Any]) -> bool:
     return _UNRECORDED in setup or "duration_s" not in setup
-
-
-def _partners(new: "Results", old: "Results") -> Iterator[tuple["Row", list["Row"]]]:
-    """Each run with a known setup, and the runs of the baseline that it is compared with."""
-    by_spec = _by_spec(old)
-    for row in new.rows.values():
-        same = old.rows.get(row.run_id)
-        others = [same] if same and same.attack else by_spec.get(row.spec, [])
-        if row.attack and others:
-            yield row, others
-
-
-def _by_spec(side: "Results") -> dict[str, list["Row"]]:
-    found: dict[str, list[Row]] = {}
-    for row in side.rows.values():
-        if row.attack:
-            found.setdefault(row.spec, []).append(row)
-    return found
-
-
-def _differing(
-    new: "Results", old: "Results", row: "Row", others: Sequence["Row"], chosen: Set[str]
-) -> set[str]:
-    """Sentences on a run; ``chosen``: specs whose attacks aim at a vehicle of each moment."""
-    mine = new.attacks.get(row.attack, {})
-    same = others[0] if others[0].run_id == row.run_id else None
-    ignored = {WHOM} if row.spec in chosen and not same else set()
-    each = {one.attack: old.attacks.get(one.attack, {}) for one in others}
-    apart = [_between(mine, setup, differing(mine, setup) - ignored) for setup in each.values()]
-    nearest = min(apart, key=len)
-    if same and same.moment and row.moment and same.moment != row.moment:
-        nearest = nearest | {f"the moment was {same.moment} and is {row.moment}"}
-    return nearest
-
-
-def _aimed(side: "Results") -> set[str]:
-    """Specs whose attacks aim at a vehicle of each moment, as with ``adversary.opponent=met``."""
-    whom = {
-        spec: {side.attacks.get(row.attack, {}).get(WHOM) for row in rows}
-        for spec, rows in _by_spec(side).items()
-    }
-    return {spec for spec, values in whom.items() if len(values) > 1}
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> set[str]:

@@ -1,11 +1,22 @@
+"""Runs to judge and to compare: of a result folder, and of the file that keeps them."""
+
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.gate import rows
+from deepmf_sumo.results import run_sets
+from deepmf_sumo.results.quantities import COMPARABLE
 
 from tests.support import gate_doubles
+
+
+def values(found, run_id):
+    """Those of a run that are defined."""
+    [row] = found.runs[found.runs["run_id"] == run_id].to_dict("records")
+    return {name: row[name] for name in COMPARABLE if not np.isnan(row[name])}
 
 
 def test_values_of_a_hit_and_of_none(tmp_path):
@@ -13,8 +24,7 @@ def test_values_of_a_hit_and_of_none(tmp_path):
         tmp_path / "out",
         [gate_doubles.result("a", hit=True), gate_doubles.result("b")],
     )
-    found = rows.read(out).rows
-    assert found["made-up--a--0"].values == {
+    assert values(run_sets.read(out), "made-up--a--0") == {
         "impact_mps": 6,
         "av_collision_rate": 1,
         "collision_rate": 1,
@@ -25,7 +35,7 @@ def test_values_of_a_hit_and_of_none(tmp_path):
         "collision_speed_mps": 6,
         "delta_v_mps": 4,
     }
-    assert found["made-up--b--0"].values == {
+    assert values(run_sets.read(out), "made-up--b--0") == {
         "impact_mps": 0,
         "av_collision_rate": 0,
         "collision_rate": 0,
@@ -46,11 +56,12 @@ def test_who_is_judged(tmp_path):
         ],
         missing=["made-up--later--7"],
     )
-    found = {row.scene: row for row in rows.read(out).rows.values()}
-    assert [name for name, row in found.items() if row.judged] == ["no-attack"]
-    assert found["no-attack"].values == {"impact_mps": 3, "av_collision_rate": 1}
-    assert found["nobody-there"].reason == "no vehicle to attack"
-    assert (found["broken"].status, found["broken"].reason) == ("failed", "SUMO refused")
+    found = {run.scene: run for run in run_sets.read(out).runs.itertuples()}
+    assert [name for name, run in found.items() if run.judged] == ["no-attack"]
+    no_attack = values(run_sets.read(out), "made-up--no-attack--0")
+    assert no_attack == {"impact_mps": 3, "av_collision_rate": 1}
+    assert found["nobody-there"].error == "no vehicle to attack"
+    assert (found["broken"].status, found["broken"].error) == ("failed", "SUMO refused")
     assert found["broken"].network == "crossing"
     assert (found["later"].status, found["later"].seed) == ("missing", 7)
 
@@ -59,8 +70,7 @@ def test_a_result_of_an_earlier_batch_is_missing(tmp_path):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result()])
     file = out / "manifest.json"
     file.write_text(file.read_text().replace("key of a 0", "another key"))
-    [row] = rows.read(out).rows.values()
-    assert row.status == "missing"
+    assert list(run_sets.read(out).runs["status"]) == ["missing"]
 
 
 def test_runs_for_figures_do_not_count(tmp_path):
@@ -68,22 +78,25 @@ def test_runs_for_figures_do_not_count(tmp_path):
         tmp_path / "out",
         [gate_doubles.result("a", part="figures"), gate_doubles.result("b", part="main")],
     )
-    assert list(rows.read(out).rows) == ["made-up--b--0"]
+    assert list(run_sets.read(out).runs["run_id"]) == ["made-up--b--0"]
 
 
 def test_the_file_keeps_all_that_is_compared(tmp_path):
     out = gate_doubles.write_folder(
         tmp_path / "out", [gate_doubles.result(hit=True), gate_doubles.failed("b")]
     )
-    found = rows.read(out)
-    rows.write(tmp_path / "first.json", found)
-    again = rows.read(tmp_path / "first.json")
-    assert [row.values for row in again.rows.values()] == [r.values for r in found.rows.values()]
+    found = run_sets.read(out)
+    run_sets.write(tmp_path / "first.json", found)
+    again = run_sets.read(tmp_path / "first.json")
+    assert len(again.runs) == len(found.runs) == 2
+    for run_id in found.runs["run_id"]:
+        assert values(again, run_id) == values(found, run_id)
+    pd.testing.assert_frame_equal(again.runs, found.runs[list(again.runs)])
     assert again.version == found.version
     assert again.attacks == found.attacks
     [setup] = found.attacks.values()
     assert setup.items() >= {"adversary": "deepmf", "adversary.period_s": 1.0}.items()
-    rows.write(tmp_path / "second.json", again)
+    run_sets.write(tmp_path / "second.json", again)
     first, second = (tmp_path / f"{name}.json" for name in ("first", "second"))
     assert first.read_bytes() == second.read_bytes()
 
@@ -111,7 +124,7 @@ def test_files_that_are_none(tmp_path, text, told):
     if text is not None:
         file.write_text(text)
     with pytest.raises(UsageError, match=told) as error:
-        rows.read(file)
+        run_sets.read(file)
     assert "b.json" in str(error.value)
 
 
@@ -128,21 +141,21 @@ def test_folders_that_are_none(tmp_path, change, told):
     manifest = json.loads((out / "manifest.json").read_text())
     (out / "manifest.json").write_text(json.dumps(manifest | change))
     with pytest.raises(UsageError, match=told):
-        rows.read(out)
+        run_sets.read(out)
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="is not a result folder"):
-        rows.read(tmp_path / "empty")
+        run_sets.read(tmp_path / "empty")
 
 
 @pytest.mark.parametrize("values", [None, 7, [1], {"ttc_s": "fast"}, {"ttc_s": None}])
 def test_values_that_are_no_numbers(tmp_path, values):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result()])
-    rows.write(tmp_path / "b.json", rows.read(out))
+    run_sets.write(tmp_path / "b.json", run_sets.read(out))
     kept = json.loads((tmp_path / "b.json").read_text())
     kept["runs"][0]["values"] = values
     (tmp_path / "b.json").write_text(json.dumps(kept))
     with pytest.raises(UsageError, match=r"b\.json is damaged"):
-        rows.read(tmp_path / "b.json")
+        run_sets.read(tmp_path / "b.json")
 
 
 def test_results_that_are_damaged_or_strange(tmp_path):
@@ -150,13 +163,13 @@ def test_results_that_are_damaged_or_strange(tmp_path):
     file = out / "runs" / "made-up--a--0" / "result.json"
     file.write_text(file.read_text()[:100])
     with pytest.raises(UsageError, match=r"result\.json is damaged"):
-        rows.read(out)
+        run_sets.read(out)
     file.write_text('{"key": "key of a 0"}')
     with pytest.raises(UsageError, match=r"result\.json is not a result of this version"):
-        rows.read(out)
+        run_sets.read(out)
 
 
 def test_a_place_that_cannot_be_written(tmp_path):
     out = gate_doubles.write_folder(tmp_path / "out", [gate_doubles.result()])
     with pytest.raises(OutputError, match="cannot be written"):
-        rows.write(tmp_path / "no" / "b.json", rows.read(out))
+        run_sets.write(tmp_path / "no" / "b.json", run_sets.read(out))
