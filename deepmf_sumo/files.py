@@ -24,7 +24,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
@@ -38,7 +38,7 @@ from platformdirs import user_data_path
 GZIP: Final = b"\x1f\x8b"
 """The first bytes of a gzip file."""
 
-Instead = Callable[[Path], list[Path] | None]
+Instead = Callable[[Path], Sequence[Path] | None]
 
 _PIECE: Final = 2**20
 MOST: Final = 2**34
@@ -102,7 +102,8 @@ def inside(folder: Path, instead: Instead | None = None, *, lost: bool = False) 
     With ``lost`` there are links to nowhere, too, which cannot be opened.
 
     Links are followed, but a folder or file that can be reached in several ways is given once.
-    Where ``instead`` gives a list for a folder, that is taken for all that is in the folder.
+    Where ``instead`` gives a list for a folder, that is taken for all that is in the folder; a
+    folder in that list is given itself, and not what is in it.
     Raises OSError where a folder cannot be read.
     """
     yield from _inside(folder, instead or (lambda _: None), set(), lost)
@@ -233,9 +234,11 @@ def npz(arrays: "Mapping[str, NDArray[Any]]") -> bytes:
 
 def _inside(folder: Path, instead: Instead, seen: set[Path], lost: bool) -> Iterator[Path]:
     seen.add(folder.resolve())
-    listed = instead(folder)
-    if listed is None:
+    chosen = instead(folder)
+    if chosen is None:
         listed = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    else:
+        listed = list(chosen)
     for path in sorted(listed):
         try:
             kind, real = path.stat().st_mode, path.resolve()
@@ -243,11 +246,11 @@ def _inside(folder: Path, instead: Instead, seen: set[Path], lost: bool) -> Iter
             if lost and isinstance(error, FileNotFoundError):
                 yield path
             continue
-        if real in seen:
+        if real in seen and path != folder:
             continue
-        if stat.S_ISDIR(kind):
+        if stat.S_ISDIR(kind) and chosen is None:
             yield from _inside(path, instead, seen, lost)
-        elif stat.S_ISREG(kind):
+        elif stat.S_ISDIR(kind) or stat.S_ISREG(kind):
             seen.add(real)
             yield path
 

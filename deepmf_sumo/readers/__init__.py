@@ -1,47 +1,66 @@
-"""Recorded file -> Scene: one module per format; `base.Reader` is the contract.
+"""Recorded file or folder -> Scene: one module per format; `base.Reader` is the contract.
 
-A file's format is recognised by its content: every plug-in of the folder is tried. Each file is
-read in a separate process (`_bounded`), so that no file can end a sweep or a listing. `records`
-lists the locations of scenes, and can keep them in a cache folder; `read` reads one scene.
+A format is recognised by its content: every plug-in of the folder is asked. Each root (a file, or
+the folder of a scene) is read in a separate process (`_bounded`), so that none can end a sweep or
+a listing. `records` lists the locations of scenes, and can keep them in a cache folder; `read`
+reads one scene.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Final, TypeVar
 
+import numpy as np
+
 from deepmf_sumo import files, plugins
 from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.errors import ReaderError, UsageError
+from deepmf_sumo.errors import PluginError, ReaderError, UsageError
 from deepmf_sumo.readers import _bounded
 from deepmf_sumo.readers.base import (
-    IndexedReader,
+    FolderReader,
     Reader,
     RecordRef,
     Refusal,
     UnknownFormatError,
 )
+from deepmf_sumo.readers.raw.repair import repair
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
-INDEX_VERSION: Final = 4
+INDEX_VERSION: Final = 5
 OVERVIEWS: Final = frozenset({"dataset_summary.pkl", "dataset_mapping.pkl"})
 """Files of a ScenarioNet folder that describe the others. A folder's scenes are found without."""
 _FIRST_BYTES: Final = 2**16
 """Read before a format is looked for: a file whose start cannot be read is of no format."""
+_MOST_LOST: Final = 1000
+"""Records of a root that cannot be used; a file of some kilobytes can unpack to millions."""
 
 T = TypeVar("T")
 
-__all__ = ["RecordRef", "Refusal", "find", "ids", "read", "records", "scene", "scenes"]
+__all__ = [
+    "RecordRef",
+    "Refusal",
+    "find",
+    "ids",
+    "read",
+    "read_by",
+    "records",
+    "repair",
+    "scene",
+    "scenes",
+]
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
-    """The given files, and those in the given folders (at any depth, sorted, without hidden ones).
+    """The roots: the given files, and those in the given folders (at any depth, without hidden).
 
-    A file with several links is given once. A folder of results (`deepmf-sumo run --scenes`) gives
-    the scenes of its runs.
+    They are sorted, and a file with several links is given once. The folder of a scene is a root of
+    its own, and a folder of results (`deepmf-sumo run --scenes`) gives the scenes of its runs: a
+    `FolderReader` says so.
 
     Raises UsageError if a path does not exist, ReaderError if a folder cannot be read.
     """
@@ -127,14 +146,20 @@ def read(ref: RecordRef) -> Scene:
     )
 
 
-# Files
+def read_by(reader: Reader, root: Path) -> Iterator[Scene | Refusal]:
+    """A reader's scenes of a root in this process, without limits: for tests of the reader."""
+    name = getattr(reader, "__name__", type(reader).__name__).rpartition(".")[2]
+    return (_repaired(reader, ref, name) for ref in reader.recordings(root))
+
+
+# Roots
 
 
 def _files(path: Path) -> list[Path]:
-    """The path itself, or the files in the folder."""
+    """The path itself, or the roots in the folder."""
     if path.is_dir():
         try:
-            found = files.inside(path, _scenes_of_results, lost=True)
+            found = files.inside(path, _roots, lost=True)
             return [file for file in found if file.name not in OVERVIEWS]
         except OSError as error:
             raise ReaderError(f"{error.filename} cannot be read: {files.reason(error)}.") from None
@@ -143,10 +168,12 @@ def _files(path: Path) -> list[Path]:
     raise UsageError(f"{path} does not exist; give a recorded file or a folder of such files.")
 
 
-def _scenes_of_results(folder: Path) -> list[Path] | None:
-    """The scenes that the runs of a result folder wrote; None for any other folder."""
-    if (folder / "runs.csv").is_file() and (folder / "runs").is_dir():
-        return list(folder.glob("runs/*/scene.npz"))
+def _roots(folder: Path) -> Sequence[Path] | None:
+    """The roots of a folder that a reader knows as a whole; None for any other folder."""
+    for name in plugins.names("readers"):
+        reader = _reader(name)
+        if isinstance(reader, FolderReader) and (found := reader.roots(folder)) is not None:
+            return found
     return None
 
 
@@ -157,7 +184,7 @@ def _guarded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
             f"{shown(str(path))} has a name with unprintable characters; rename it."
         )
     for name in plugins.names("readers"):  # once here, not in each reading process
-        plugins.load("readers", name)
+        _reader(name)
     try:
         yield from _bounded.each(work)
     except _bounded.EndedError as error:
@@ -170,94 +197,122 @@ def _check(path: Path) -> None:
     """Raises ReaderError if no plug-in accepts the file."""
 
     def look() -> Iterator[None]:
-        _accepting(path)
+        _recordings(path)
         return iter(())
 
     for _ in _guarded(path, look):
         pass
 
 
-def _accepting(path: Path) -> str:
-    """The plug-in that accepts the file.
+def _recordings(root: Path) -> tuple[str, Iterable[RecordRef]]:
+    """The plug-in that knows the root, and what it finds there.
 
-    Raises UnknownFormatError if none does, and ReaderError if the file cannot be read.
+    Raises UnknownFormatError if none does, and ReaderError if a file cannot be read.
     """
     try:
-        with files.opened(path) as file:
-            file.read(_FIRST_BYTES)
+        if not root.is_dir():
+            with files.opened(root) as file:
+                file.read(_FIRST_BYTES)
     except OSError as error:
-        raise ReaderError(f"{path} cannot be read: {files.reason(error)}.") from None
+        raise ReaderError(f"{root} cannot be read: {files.reason(error)}.") from None
     known = plugins.names("readers")
     for name in known:
-        if _reader(name).accepts(path):
-            return name
-    raise UnknownFormatError(f"{path} has an unknown format; known are {', '.join(known)}.")
+        found = iter(_reader(name).recordings(root))
+        for first in found:
+            return name, chain([first], found)
+    raise UnknownFormatError(f"{root} has an unknown format; known are {', '.join(known)}.")
 
 
 def _reader(name: str) -> Reader:
+    """A plug-in. Raises PluginError if it does not keep the contract."""
     plugin = plugins.load("readers", name)
     reader: Reader = plugin() if isinstance(plugin, type) else plugin
+    for needed in ("recordings", "load"):
+        if not callable(getattr(reader, needed, None)):
+            raise PluginError(
+                f"Reader '{name}' has no '{needed}'; a reader has recordings(root) and load(ref),"
+                " see deepmf_sumo.readers.base. (Up to version 0.2: accepts and scenes.)"
+            )
     return reader
 
 
 # Scenes
 
 
-def _scenes(path: Path) -> Iterator[Scene | Refusal]:
+def _scenes(root: Path) -> Iterator[Scene | Refusal]:
     count = 0
     try:
-        for each in _guarded(path, lambda: _read(_reader(_accepting(path)), path)):
+        for each in _guarded(root, lambda: _read(root)):
             yield each
             count += 1
     except ReaderError as error:
-        yield Refusal(file=shown(str(path)), record=count, name="", reason=str(error))
+        yield Refusal(file=shown(str(root)), record=count, name="", reason=str(error))
 
 
-def _read(reader: Reader, path: Path) -> Iterator[Scene | Refusal]:
-    """What the reader finds in the file. Raises ReaderError if that is nothing."""
-    empty = True
-    for found in reader.scenes(path):
-        empty = False
-        yield _printable(found)
-    if empty:
-        raise ReaderError(_EMPTY.format(path))
+def _read(root: Path) -> Iterator[Scene | Refusal]:
+    """The scenes of a root, up to so many that cannot be used."""
+    name, found = _recordings(root)
+    lost = 0
+    for ref in found:
+        scene = _repaired(_reader(name), ref, name)
+        yield scene
+        lost += isinstance(scene, Refusal)
+        if lost == _MOST_LOST:
+            raise _bounded.EndedError(_ENOUGH)
 
 
-_EMPTY: Final = "{} contains no scene; copy or download the file again."
+_ENOUGH: Final = f"the rest of it was not read, since {_MOST_LOST} records could not be used"
 
 
-def _printable(found: Scene | Refusal) -> Scene | Refusal:
+def _repaired(reader: Reader, ref: RecordRef, dataset: str) -> Scene | Refusal:
+    """The scene at a location, or why it cannot be used."""
+    where = f"{ref.file} record {ref.record}"
+    try:
+        with np.errstate(all="ignore"):  # the checks find numbers that are not finite
+            loaded = reader.load(ref)
+    except ReaderError as error:
+        return _refusal(ref, str(error), dataset)
+    except MemoryError:
+        return _refusal(ref, f"{where}: {_bounded.TOO_LARGE}.", dataset)
+    try:
+        return repair(loaded)
+    except ReaderError as error:
+        return _refusal(ref, f"{where}: {error}.", dataset)
+
+
+def _refusal(ref: RecordRef, reason: str, dataset: str) -> Refusal:
     """A refusal quotes parts of the file, which can contain any characters."""
-    if isinstance(found, Scene):
-        return found
-    return replace(found, name=shown(found.name[:LONGEST_ID]), reason=shown(found.reason))
+    return Refusal(
+        file=str(ref.file),
+        record=ref.record,
+        name=shown(ref.name[:LONGEST_ID]),
+        reason=shown(reason),
+        dataset=dataset,
+    )
 
 
 def _at(ref: RecordRef) -> Iterator[Scene | Refusal]:
     """The scene at a location, or nothing."""
-    reader = _reader(ref.reader or _accepting(ref.file))
-    if isinstance(reader, IndexedReader) and ref.offset is not None:
-        yield _printable(reader.scene_at(ref))
+    if ref.reader:
+        yield _repaired(_reader(ref.reader), ref, ref.reader)
         return
-    yield from (each for each in _read(reader, ref.file) if _number(each) == ref.record)
-
-
-def _number(found: Scene | Refusal) -> int:
-    return found.record if isinstance(found, Refusal) else found.source.record
+    name, found = _recordings(ref.file)
+    yield from (_repaired(_reader(name), one, name) for one in found if one.record == ref.record)
 
 
 # Locations of scenes
 
 
 def _records(path: Path, cache: Path | None) -> list[RecordRef]:
-    """The locations of a file's scenes; none if its format is unknown.
+    """The locations of a root's scenes; none if its format is unknown.
 
     What cannot be read has a location, too, with a name: so it gets a row with the reason in a
     sweep.
     """
     found: list[RecordRef] = []
     try:
-        entry = cache / "index" / f"{_key(path)}.json" if cache else None
+        is_kept = not path.is_dir()  # a folder's key would have to name all in it
+        entry = cache / "index" / f"{_key(path)}.json" if cache and is_kept else None
         known = _indexed(entry, path) if entry else None
         if known is not None:
             return known
@@ -273,19 +328,15 @@ def _records(path: Path, cache: Path | None) -> list[RecordRef]:
     return found
 
 
-def _listed(path: Path) -> Iterator[RecordRef]:
-    name = _accepting(path)
-    reader = _reader(name)
-    if isinstance(reader, IndexedReader):
-        empty = True
-        for ref in reader.records(path):
-            empty = False
-            yield replace(ref, name=shown(ref.name[:LONGEST_ID]), reader=name)
-        if empty:
-            raise ReaderError(_EMPTY.format(path))
-        return
-    for each in _read(reader, path):
-        yield RecordRef(file=path, name=each.name, record=_number(each), reader=name)
+def _listed(root: Path) -> Iterator[RecordRef]:
+    reader, found = _recordings(root)
+    lost = 0
+    for ref in found:
+        lost += not ref.name
+        name = ref.name or f"{root.name} record {ref.record}"
+        yield replace(ref, name=shown(name[:LONGEST_ID]), reader=reader, content=None)
+        if lost == _MOST_LOST:
+            raise _bounded.EndedError(_ENOUGH)
 
 
 def _key(path: Path) -> str:

@@ -24,9 +24,9 @@ import numpy as np
 from deepmf_sumo.datatypes import Floats, Ints, Lane, Neighbour, RoadMap
 from deepmf_sumo.datatypes.scene import LaneKind, PolygonKind
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.readers import _lane_links
-from deepmf_sumo.readers._checks import is_placed
-from deepmf_sumo.readers._recording import (
+from deepmf_sumo.readers.raw import lane_links
+from deepmf_sumo.readers.raw.repair import is_placed
+from deepmf_sumo.readers.raw.road import (
     MPS_PER_MPH,
     RoadBuilder,
     boundary,
@@ -424,7 +424,7 @@ def _neighbours(lanes: Mapping[str, Lane]) -> list[tuple[str, str, Neighbour]]:
         if len(lane.centre_m) > 1 and not lane.interpolating and is_placed(lane):
             thinned, index[name] = _evenly(lane)
             even.append(thinned)
-    beside = _lane_links.neighbours(even)
+    beside = lane_links.neighbours(even)
     return [
         (name, side, _at_points(one, index[name], index[one.lane_id]))
         for side, listed in (("left", beside.left), ("right", beside.right))

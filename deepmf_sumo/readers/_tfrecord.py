@@ -107,8 +107,12 @@ def record_at(path: Path, offset: int, index: int) -> Record:
         ) from None
     if isinstance(found, Record):
         return found
-    reason = found.reason if found else "the file ends before it"
+    reason = found.reason if found else f"{_ENDS if offset else _EMPTY}; copy or download it again"
     raise ReaderError(f"{path} record {index}: {reason}.")
+
+
+_ENDS: Final = "the file ends before it"
+_EMPTY: Final = "the file contains no scene"
 
 
 def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:

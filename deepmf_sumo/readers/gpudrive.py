@@ -17,18 +17,17 @@ from deepmf_sumo.datatypes import (
     Floats,
     Lane,
     RoadMap,
-    Scene,
     Signals,
     SignalState,
     Source,
 )
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import _lane_links, _single_file
-from deepmf_sumo.readers._checks import is_placed, with_heights
-from deepmf_sumo.readers._recording import (
+from deepmf_sumo.readers.base import RecordRef
+from deepmf_sumo.readers.raw import RawScene, RawTracks, lane_links
+from deepmf_sumo.readers.raw.one_file import OneFile, head
+from deepmf_sumo.readers.raw.repair import is_placed, with_heights
+from deepmf_sumo.readers.raw.road import (
     TWO_STATES,
-    Recording,
-    RecordingTracks,
     RoadBuilder,
     SignalsBuilder,
     agent_at,
@@ -36,7 +35,6 @@ from deepmf_sumo.readers._recording import (
     lane_kind,
     quoted,
 )
-from deepmf_sumo.readers.base import Refusal
 
 LARGEST_FILE: Final = 2**26
 """Bytes. The largest known scene has 10 MB."""
@@ -67,16 +65,24 @@ STOP_GAP_M: Final = 0.5
 
 Described = Mapping[str, Any]
 
-_NAME = "gpudrive"
 _KEYS = (b'"objects"', b'"roads"', b'"tl_states"')
 
 
-def accepts(path: Path) -> bool:
-    """Whether the file is a JSON object with a key of these scenes near its start.
+def recordings(root: Path) -> Iterator[RecordRef]:
+    """The file's one scene, if it is a JSON object with a key of these scenes near its start.
 
     So is a short file that is named as JSON but is none: what is left of one that was cut off.
     """
-    start = _single_file.head(path, HEAD)
+    return _FORMAT.recordings(root) if _is_scene(root) else iter(())
+
+
+def load(ref: RecordRef) -> RawScene:
+    """The file's scene."""
+    return _FORMAT.load(ref)
+
+
+def _is_scene(path: Path) -> bool:
+    start = head(path, HEAD)
     if start is None:
         return False
     if start.lstrip()[:1] == b"{" and any(key in start for key in _KEYS):
@@ -92,15 +98,6 @@ def _is_json(content: bytes) -> bool:
     return True
 
 
-def scenes(path: Path) -> Iterator[Scene | Refusal]:
-    """The file's one scene."""
-    return _single_file.found(path, _NAME, _scene)
-
-
-def _scene(path: Path) -> Scene:
-    return _single_file.scene(path, _NAME, LARGEST_FILE, _parsed, _described)
-
-
 def _parsed(content: bytes) -> Any:
     try:
         return json.loads(content)
@@ -108,7 +105,11 @@ def _parsed(content: bytes) -> Any:
         raise ReaderError(f"is not valid JSON ({error}); copy it again") from None
 
 
-def _described(described: Described, source: Source) -> Recording:
+def _name(described: Described, path: Path) -> str:
+    return identifier(described.get("scenario_id") or path.stem)
+
+
+def _described(described: Described, name: str, source: Source) -> RawScene:
     if "ego_idx" in described:
         raise ValueError("its map was re-sampled (key 'ego_idx'); take the file it was made from")
     repairs: list[str] = []
@@ -116,8 +117,8 @@ def _described(described: Described, source: Source) -> Recording:
     metadata = described.get("metadata") or {}
     road = _road(described["roads"], repairs)
     steps = tracks.valid.shape[1]
-    return Recording(
-        name=identifier(described.get("scenario_id") or Path(source.file).stem),
+    return RawScene(
+        name=name,
         source=source,
         now=HISTORY_STEPS - 1,
         timestamps_s=np.zeros(0),
@@ -134,7 +135,7 @@ def _described(described: Described, source: Source) -> Recording:
     )
 
 
-def _av_id(metadata: Described, tracks: RecordingTracks) -> str | None:
+def _av_id(metadata: Described, tracks: RawTracks) -> str | None:
     """The id in the metadata, else that of the last vehicle of the recording vehicle's size."""
     index = metadata.get("sdc_track_index")
     if index is not None:
@@ -147,7 +148,7 @@ def _av_id(metadata: Described, tracks: RecordingTracks) -> str | None:
 # Motion
 
 
-def _tracks(objects: Sequence[Described], repairs: list[str]) -> RecordingTracks:
+def _tracks(objects: Sequence[Described], repairs: list[str]) -> RawTracks:
     """Motion of all objects; ids are those of the file, else the positions in its list."""
     if not objects:
         raise ValueError("it has no objects; maps without a recording cannot be used")
@@ -169,7 +170,7 @@ def _tracks(objects: Sequence[Described], repairs: list[str]) -> RecordingTracks
             f"({MISSING:.0f}); they were dropped."
         )
     valid &= ~marked
-    return RecordingTracks(
+    return RawTracks(
         ids=[identifier(one.get("id", index)) for index, one in enumerate(objects)],
         kinds=[KINDS.get(str(one["type"]), "other") for one in objects],
         size_m=np.repeat(size[:, None], valid.shape[1], axis=1),
@@ -241,7 +242,7 @@ def _road(features: Sequence[Described], repairs: list[str]) -> RoadMap:
     lost = next((lane.id for lane in road.lanes.values() if not is_placed(lane)), None)
     if lost is not None:
         raise ValueError(f"lane {lost} has points that are not finite numbers, or too far away")
-    road.lanes = _lane_links.linked(list(road.lanes.values()))
+    road.lanes = lane_links.linked(list(road.lanes.values()))
     return road.built()
 
 
@@ -332,3 +333,8 @@ def _over_time(rows: Mapping[str, Described], steps: int, repairs: list[str]) ->
     if outside:
         repairs.append(f"{outside} signal states of steps that are not recorded were dropped.")
     return signals.built()
+
+
+_FORMAT: Final = OneFile(
+    dataset="gpudrive", largest=LARGEST_FILE, parse=_parsed, name=_name, describe=_described
+)

@@ -38,8 +38,7 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.datatypes.scene import EDGE_TYPES, LINE_TYPES
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import _checks, _single_file
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.readers.base import RecordRef
 
 FORMAT_VERSION: Final = 1
 LARGEST_FILE: Final = 2**27
@@ -47,7 +46,6 @@ LARGEST_FILE: Final = 2**27
 
 Arrays = dict[str, np.ndarray]
 
-_NAME = "npz"
 _DAMAGES: Final = (
     *(OSError, EOFError, ValueError, KeyError, RuntimeError, struct.error),
     *(zlib.error, zipfile.BadZipFile),
@@ -62,8 +60,31 @@ def write(scene: Scene, path: Path) -> None:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-def accepts(path: Path) -> bool:
-    """Whether the file is a zip archive with a scene's description, or named as a native file."""
+def roots(folder: Path) -> list[Path] | None:
+    """The scenes that the runs of a result folder wrote."""
+    if (folder / "runs.csv").is_file() and (folder / "runs").is_dir():
+        return list(folder.glob("runs/*/scene.npz"))
+    return None
+
+
+def recordings(root: Path) -> Iterator[RecordRef]:
+    """The scene of a zip archive with a description, or of a file that is named as a native one."""
+    if not _is_scene(root):
+        return
+    try:
+        scene = _scene(root)
+    except ReaderError:
+        yield RecordRef(file=root, name=root.stem, record=0)
+        return
+    yield RecordRef(file=root, name=scene.name, record=0, content=scene)
+
+
+def load(ref: RecordRef) -> Scene:
+    """The scene as it was written; its source is the original recording."""
+    return ref.content or _scene(ref.file)
+
+
+def _is_scene(path: Path) -> bool:
     try:
         with files.opened(path) as file:
             if file.read(4) != b"PK\x03\x04":
@@ -72,11 +93,6 @@ def accepts(path: Path) -> bool:
                 return {"format_version.npy", "description.npy"} <= set(archive.namelist())
     except Exception:  # noqa: BLE001 - a damaged archive can raise anything
         return path.suffix == ".npz"
-
-
-def scenes(path: Path) -> Iterator[Scene | Refusal]:
-    """The file's one scene, as it was written (its source is the original recording)."""
-    return _single_file.found(path, _NAME, _scene)
 
 
 def _scene(path: Path) -> Scene:
@@ -94,7 +110,7 @@ def _scene(path: Path) -> Scene:
             f"{FORMAT_VERSION}. Write it again from the recording."
         )
     try:
-        return _checks.confirmed(_from_arrays(arrays))
+        return _from_arrays(arrays)
     except ReaderError as error:
         raise ReaderError(f"{path} is not a scene: {error}.") from None
 

@@ -19,22 +19,12 @@ from deepmf_sumo.datatypes import (
     Floats,
     Ints,
     Lane,
-    Scene,
     Signals,
     SignalState,
     Source,
 )
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import _single_file
 from deepmf_sumo.readers._pickle import load_plain
-from deepmf_sumo.readers._recording import (
-    Recording,
-    RecordingTracks,
-    SignalsBuilder,
-    agent_at,
-    identifier,
-    quoted,
-)
 from deepmf_sumo.readers._scenarionet_road import (
     EDGE_KINDS,
     LANE_KINDS,
@@ -44,7 +34,10 @@ from deepmf_sumo.readers._scenarionet_road import (
     points_of,
     road_of,
 )
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.readers.base import RecordRef
+from deepmf_sumo.readers.raw import RawScene, RawTracks
+from deepmf_sumo.readers.raw.one_file import OneFile, head
+from deepmf_sumo.readers.raw.road import SignalsBuilder, agent_at, identifier, quoted
 
 KINDS: Final[dict[str, AgentKind]] = {
     "VEHICLE": "vehicle",
@@ -72,25 +65,21 @@ LARGEST_FILE: Final = 2**25
 
 Described = Mapping[str, Any]
 
-__all__ = ["EDGE_KINDS", "KINDS", "LANE_KINDS", "LINE_KINDS", "accepts", "scenes"]
+__all__ = ["EDGE_KINDS", "KINDS", "LANE_KINDS", "LINE_KINDS", "load", "recordings"]
 
-_NAME = "scenarionet"
 _STARTS = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
-def accepts(path: Path) -> bool:
-    """Whether the file is a pickle (protocols 0 and 1 are recognised by the file's name alone)."""
-    start = _single_file.head(path, 2)
-    return start in _STARTS or (start is not None and path.suffix in {".pkl", ".pickle"})
+def recordings(root: Path) -> Iterator[RecordRef]:
+    """The file's one scene, if it is a pickle (of protocols 0 and 1 the file's name tells that)."""
+    start = head(root, 2)
+    if start in _STARTS or (start is not None and root.suffix in {".pkl", ".pickle"}):
+        yield from _FORMAT.recordings(root)
 
 
-def scenes(path: Path) -> Iterator[Scene | Refusal]:
-    """The file's one scene."""
-    return _single_file.found(path, _NAME, _scene)
-
-
-def _scene(path: Path) -> Scene:
-    return _single_file.scene(path, _NAME, LARGEST_FILE, _parsed, _described)
+def load(ref: RecordRef) -> RawScene:
+    """The file's scene."""
+    return _FORMAT.load(ref)
 
 
 def _parsed(content: bytes) -> Described:
@@ -106,7 +95,11 @@ def _parsed(content: bytes) -> Described:
     return described
 
 
-def _described(described: Described, source: Source) -> Recording:
+def _name(described: Described, path: Path) -> str:
+    return identifier(described["metadata"].get("scenario_id", described.get("id", path.stem)))
+
+
+def _described(described: Described, name: str, source: Source) -> RawScene:
     metadata = described["metadata"]
     origin = origin_of(described)
     ids = [identifier(key) for key in described["tracks"]]
@@ -118,9 +111,8 @@ def _described(described: Described, source: Source) -> Recording:
     _turn_av(tracks, av_id, repairs)
     road = road_of(described["map_features"], origin, repairs)
     lights = _Lights(lanes=road.lanes, origin=origin, version=str(described.get("version", "")))
-    scene_id = metadata.get("scenario_id", described.get("id", Path(source.file).stem))
-    return Recording(
-        name=identifier(scene_id),
+    return RawScene(
+        name=name,
         source=source,
         now=max(int(metadata.get("current_time_index") or 0), HISTORY_STEPS - 1),
         timestamps_s=_timestamps(metadata, tracks.valid.shape[1]),
@@ -166,7 +158,7 @@ def _timestamps(metadata: Described, steps: int) -> Floats:
 
 def _tracks(
     ids: list[str], tracks: Sequence[Described], origin: Origin, repairs: list[str]
-) -> RecordingTracks:
+) -> RawTracks:
     if not tracks:
         raise ValueError("it has no tracks")
     steps = len(tracks[0]["state"]["position"])
@@ -183,7 +175,7 @@ def _tracks(
         rows = [agent for agent, count in zip(ids, found, strict=True) if count]
         if rows:
             repairs.append(f"{sum(found)} {what} was used for {len(rows)} agents: {quoted(rows)}.")
-    return RecordingTracks(
+    return RawTracks(
         ids=ids,
         kinds=[KINDS.get(kind, "other") for kind in kinds],
         size_m=np.array([_size(track["state"], steps) for track in tracks]),
@@ -246,7 +238,7 @@ class _Motion:
         self.turned = int(self.valid.sum())
 
 
-def _turn_av(tracks: RecordingTracks, av_id: str, repairs: list[str]) -> None:
+def _turn_av(tracks: RawTracks, av_id: str, repairs: list[str]) -> None:
     """Exchange length and width of an AV that is wider than long, in place.
 
     nuScenes' sizes begin with the width; the converter gives those of the AV the other way round.
@@ -381,3 +373,8 @@ def _from_numbers(listed: np.ndarray) -> tuple[Ints, Bools]:
     """The earliest files: WOMD's numbers, 0 at steps without a state."""
     numbers = listed.reshape(-1).astype("int64")
     return np.clip(numbers, 0, 255), numbers > 0
+
+
+_FORMAT: Final = OneFile(
+    dataset="scenarionet", largest=LARGEST_FILE, parse=_parsed, name=_name, describe=_described
+)

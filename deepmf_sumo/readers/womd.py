@@ -16,17 +16,17 @@ from deepmf_sumo.datatypes import (
     AgentKind,
     Floats,
     RoadMap,
-    Scene,
     Signals,
     Source,
 )
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers import _bounded, _checks, _tfrecord
-from deepmf_sumo.readers._recording import (
+from deepmf_sumo.readers import _tfrecord
+from deepmf_sumo.readers.base import RecordRef
+from deepmf_sumo.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.readers.raw import RawScene, RawTracks
+from deepmf_sumo.readers.raw.road import (
     MPS_PER_MPH,
     TWO_STATES,
-    Recording,
-    RecordingTracks,
     RoadBuilder,
     SignalsBuilder,
     agent_at,
@@ -34,57 +34,54 @@ from deepmf_sumo.readers._recording import (
     lane_kind,
     neighbour,
 )
-from deepmf_sumo.readers.base import RecordRef, Refusal
-from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
 KINDS: Final[tuple[AgentKind, ...]] = ("other", "vehicle", "pedestrian", "cyclist", "other")
 """By Track.ObjectType; unset is ``other``."""
 _SHARD = re.compile(r"\.tfrecords?(-\d+-of-\d+)?(\.gz)?$")
 _NAME = "womd"
-_UNDECODABLE = (DecodeError, UnicodeDecodeError)
-# A file of some kilobytes can unpack to millions of records that cannot be used.
-_MOST_LOST = 1000
-_ENOUGH = f"the rest of it was not read, since {_MOST_LOST} records could not be used"
 
 
-def accepts(path: Path) -> bool:
-    """Whether the file starts as a TFRecord does, or is named like one (a damaged one, then)."""
-    return _tfrecord.looks_framed(path) or _SHARD.search(path.name) is not None
+def recordings(root: Path) -> Iterator[RecordRef]:
+    """The records of a file that starts as a TFRecord does, or is named like one (a damaged one).
 
-
-def scenes(path: Path) -> Iterator[Scene | Refusal]:
-    """The scenes of a TFRecord file in order."""
-    lost = 0
-    for found in _tfrecord.records(path):
-        if isinstance(found, _tfrecord.Broken):
-            reason = f"{path} record {found.index}: {found.reason}."
-            scene: Scene | Refusal = _refusal(path, found.index, "", reason)
-        else:
-            scene = _scene(path, found)
-        yield scene
-        lost += isinstance(scene, Refusal)
-        if lost == _MOST_LOST:
-            raise _bounded.EndedError(_ENOUGH)
-
-
-def records(path: Path) -> Iterator[RecordRef]:
-    """The locations of a TFRecord file's records; one without an id is named by its number."""
-    lost = 0
-    for found in _tfrecord.records(path):
-        name = ""
+    A record's content is passed on: it is read and, in packed files, unpacked once.
+    """
+    if not (_tfrecord.looks_framed(root) or _SHARD.search(root.name)):
+        return
+    empty = True
+    for found in _tfrecord.records(root):
+        message, empty = None, False
         if isinstance(found, _tfrecord.Record):
-            with suppress(*_UNDECODABLE):
-                name = pb.Scenario.FromString(found.payload).scenario_id
-        lost += not name
-        name = name or f"{path.name} record {found.index}"
-        yield RecordRef(file=path, name=name, record=found.index, offset=found.offset)
-        if lost == _MOST_LOST:
-            raise _bounded.EndedError(_ENOUGH)
+            with suppress(MemoryError):  # `load` meets it again
+                message = _message(found.payload)
+        yield RecordRef(
+            file=root,
+            name=message.scenario_id if message else "",
+            record=found.index,
+            offset=found.offset,
+            content=(found, message),
+        )
+    if empty:  # of a record that was to be there, `load` says what is missing
+        yield RecordRef(file=root, name="", record=0, offset=0)
 
 
-def scene_at(ref: RecordRef) -> Scene | Refusal:
-    """The scene at a location from `records`. Raises ReaderError if there is no record."""
-    return _scene(ref.file, _tfrecord.record_at(ref.file, ref.offset or 0, ref.record))
+def load(ref: RecordRef) -> RawScene:
+    """The scene at a location from `recordings`. Raises ReaderError if there is no record."""
+    where = f"{ref.file} record {ref.record}"
+    found, message = ref.content or (None, None)
+    if found is None:
+        found = _tfrecord.record_at(ref.file, ref.offset or 0, ref.record)
+    if isinstance(found, _tfrecord.Broken):
+        raise ReaderError(f"{where}: {found.reason}.")
+    if message is None:
+        message = _message(found.payload)
+    if message is None:
+        raise ReaderError(
+            f"{where}: is not a Scenario message. Is it a 'scenario' file, not a 'tf_example' one?"
+        )
+    digest = hashlib.sha256(found.payload).hexdigest()
+    source = Source(dataset=_NAME, file=str(ref.file), record=ref.record, sha256=digest)
+    return _raw(message, source)
 
 
 def packed(message: pb.Scenario) -> bytes:
@@ -92,32 +89,17 @@ def packed(message: pb.Scenario) -> bytes:
     return _tfrecord.framed(message.SerializeToString(deterministic=True))
 
 
-def _scene(path: Path, record: _tfrecord.Record) -> Scene | Refusal:
-    name = ""
+def _message(payload: bytes) -> pb.Scenario | None:
+    """The message; None if it is none."""
     try:
-        message = pb.Scenario.FromString(record.payload)
-        name = message.scenario_id
-        source = Source(
-            dataset=_NAME,
-            file=str(path),
-            record=record.index,
-            sha256=hashlib.sha256(record.payload).hexdigest(),
-        )
-        return _checks.checked(_recording(message, source))
-    except _UNDECODABLE as error:
-        reason = "is not a Scenario message. Is it a 'scenario' file, not a 'tf_example' one?"
+        return pb.Scenario.FromString(payload)
+    except (DecodeError, UnicodeDecodeError) as error:
         if "alloc failed" in str(error):  # a MemoryError by another name
-            reason = f"{_bounded.TOO_LARGE}."
-        return _refusal(path, record.index, name, f"{path} record {record.index}: {reason}")
-    except ReaderError as error:
-        return _refusal(path, record.index, name, str(error))
+            raise MemoryError from None
+        return None
 
 
-def _refusal(path: Path, record: int, name: str, reason: str) -> Refusal:
-    return Refusal(file=str(path), record=record, name=name, reason=reason, dataset=_NAME)
-
-
-def _recording(message: pb.Scenario, source: Source) -> Recording:
+def _raw(message: pb.Scenario, source: Source) -> RawScene:
     where = f"{source.file} record {source.record}"
     _refuse(message, where)
     ids = [str(track.id) for track in message.tracks]
@@ -131,7 +113,7 @@ def _recording(message: pb.Scenario, source: Source) -> Recording:
         )
     except ValueError as error:
         raise ReaderError(f"{where}: {error}.") from None
-    return Recording(
+    return RawScene(
         name=message.scenario_id,
         source=source,
         # Files of 20 s have their current step at 0, which leaves no history to predict from.
@@ -148,14 +130,12 @@ def _recording(message: pb.Scenario, source: Source) -> Recording:
 
 
 def _refuse(message: pb.Scenario, where: str) -> None:
-    """Raises ReaderError for what is missing or too large, before arrays are made of it."""
+    """Raises ReaderError for what is missing."""
     if not message.tracks or not message.scenario_id:
         missing = "tracks" if not message.tracks else "scenario_id"
         raise ReaderError(
             f"{where}: no {missing}. Is it a 'scenario' file, not a 'tf_example' one?"
         )
-    if len(message.map_features) > _checks.MOST_FEATURES:
-        raise ReaderError(f"{where}: the map has more than {_checks.MOST_FEATURES} features.")
     steps = len(message.timestamps_seconds)
     for track in message.tracks:
         if len(track.states) != steps:
@@ -163,13 +143,11 @@ def _refuse(message: pb.Scenario, where: str) -> None:
                 f"{where}: track {track.id} has {len(track.states)} states, "
                 f"but there are {steps} timestamps."
             )
-    if steps * len(message.tracks) > _checks.MOST_STATES:
-        raise ReaderError(f"{where}: has more than {_checks.MOST_STATES} states.")
 
 
-def _tracks(message: pb.Scenario, ids: list[str]) -> RecordingTracks:
+def _tracks(message: pb.Scenario, ids: list[str]) -> RawTracks:
     values = np.array([_states(track) for track in message.tracks])
-    return RecordingTracks(
+    return RawTracks(
         ids=ids,
         kinds=[KINDS[track.object_type] for track in message.tracks],
         position_m=values[..., :3],

@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.cli import data, main
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.network import generated
-from deepmf_sumo.readers import npz
+from deepmf_sumo.readers import npz, read_by
 from deepmf_sumo.recording import many
 from deepmf_sumo.sweep import workers
 
@@ -36,7 +36,7 @@ def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path
     files = contents(one)
     assert len(files) == 6
     assert contents(two) == files
-    scenes = [scene for file in sorted(one.rglob("*.npz")) for scene in npz.scenes(file)]
+    scenes = [scene for file in sorted(one.rglob("*.npz")) for scene in read_by(npz, file)]
     assert [scene.tracks.steps for scene in scenes] == [91] * 6
     assert len({(scene.name, scene.source.sha256) for scene in scenes}) == 6
 

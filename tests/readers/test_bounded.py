@@ -104,7 +104,12 @@ def folder(tmp_path):
 
 
 def test_one_file_ends_neither_a_listing_nor_a_sweep(folder, monkeypatch):
-    monkeypatch.setattr(gpudrive, "_described", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    recordings = gpudrive.recordings
+
+    def ending(root):
+        return os.kill(os.getpid(), signal.SIGKILL) if root.name == "b.json" else recordings(root)
+
+    monkeypatch.setattr(gpudrive, "recordings", ending)
     first, bad, last = readers.scenes([folder])
     assert (first.name, last.name) == ("a", "c")
     assert isinstance(bad, Refusal)
@@ -115,6 +120,13 @@ def test_one_file_ends_neither_a_listing_nor_a_sweep(folder, monkeypatch):
     assert readers.scene(folder, "c", cache).name == "c"
     with pytest.raises(ReaderError, match=r"b\.json: reading it ended the process"):
         readers.scene(folder, "b.json record 0", cache)
+
+
+def test_a_scene_whose_reading_ends_the_process_is_listed(folder, monkeypatch):
+    monkeypatch.setattr(gpudrive, "load", lambda _: os.kill(os.getpid(), signal.SIGKILL))
+    assert readers.ids(folder) == ["a", "b", "c"]
+    with pytest.raises(ReaderError, match=r"b\.json: reading it ended the process"):
+        readers.scene(folder, "b")
 
 
 def peak_mb():

@@ -7,25 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.readers import Refusal, gpudrive, npz, scenarionet, womd
+from deepmf_sumo.readers import Refusal, gpudrive, npz, read_by, scenarionet, womd
 
 from tests.support import recordings_by_hand as by_hand
 
 
 def in_womd(message, folder):
-    return one_of(womd.scenes(by_hand.shard(folder / "one.tfrecord", message)))
+    return one_of(read_by(womd, by_hand.shard(folder / "one.tfrecord", message)))
 
 
 def in_scenarionet(message, folder):
     file = folder / "one.pkl"
     file.write_bytes(pickle.dumps(by_hand.scenarionet(message)))
-    return one_of(scenarionet.scenes(file))
+    return one_of(read_by(scenarionet, file))
 
 
 def in_gpudrive(message, folder):
     file = folder / "one.json"
     file.write_text(json.dumps(by_hand.gpudrive(message)))
-    return one_of(gpudrive.scenes(file))
+    return one_of(read_by(gpudrive, file))
 
 
 def one_of(scenes):
@@ -204,7 +204,7 @@ def test_ids_of_scenarionet_that_are_one_as_text_are_refused(tmp_path):
         name = "100" if part == "map_features" else "7"
         described[part][int(name)] = described[part][name]
         (tmp_path / "one.pkl").write_bytes(pickle.dumps(described))
-        assert said in reason(one_of(scenarionet.scenes(tmp_path / "one.pkl")))
+        assert said in reason(one_of(read_by(scenarionet, tmp_path / "one.pkl")))
 
 
 def test_two_states_of_a_signal_at_a_step_are_reported(tmp_path):
@@ -223,7 +223,7 @@ def test_two_states_of_a_signal_at_a_step_are_reported(tmp_path):
     light = drive["tl_states"]["102"]
     light["time_index"][5] = light["time_index"][50]
     (tmp_path / "two.json").write_text(json.dumps(drive))
-    scene = one_of(gpudrive.scenes(tmp_path / "two.json"))
+    scene = one_of(read_by(gpudrive, tmp_path / "two.json"))
     assert "1 signal states of a lane that has another one" in scene.repairs[0]
 
 
@@ -288,4 +288,4 @@ def test_the_native_format_has_the_same_clock_and_no_signal_twice(tmp_path):
         (replace(scene, signals=twice), "two signals are of lane 102"),
     ):
         npz.write(bad, tmp_path / "one.npz")
-        assert said in reason(one_of(npz.scenes(tmp_path / "one.npz")))
+        assert said in reason(one_of(read_by(npz, tmp_path / "one.npz")))

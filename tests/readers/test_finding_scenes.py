@@ -5,9 +5,9 @@ import os
 import pytest
 
 from deepmf_sumo import files, plugins, readers
-from deepmf_sumo.errors import ReaderError, UsageError
+from deepmf_sumo.errors import PluginError, ReaderError, UsageError
 from deepmf_sumo.readers import Refusal, womd
-from deepmf_sumo.readers.base import IndexedReader, Reader
+from deepmf_sumo.readers.base import Reader
 
 from tests.support import recordings_by_hand as by_hand
 
@@ -45,7 +45,9 @@ def test_scenes_of_all_formats_and_a_refusal_for_what_is_none(data):
     assert names(found) == ["x", "y", "z", "g"]
     (refusal,) = [one for one in found if isinstance(one, Refusal)]
     assert refusal.file.endswith("README")
-    assert "has an unknown format; known are gpudrive, npz, scenarionet, womd" in refusal.reason
+    assert (
+        "unknown format; known are argoverse2, gpudrive, npz, scenarionet, womd" in refusal.reason
+    )
 
 
 @pytest.mark.sumo
@@ -87,7 +89,7 @@ def test_ids_and_scenes_by_id(data, tmp_path):
 def test_a_scene_by_id_is_found_again_without_a_search(data, tmp_path, monkeypatch):
     file, cache = data / "b.tfrecord", tmp_path / "cache"
     first = readers.scene(file, "y", cache)
-    monkeypatch.setattr(womd, "records", lambda path: pytest.fail("searched again"))
+    monkeypatch.setattr(womd, "recordings", lambda path: pytest.fail("searched again"))
     again = readers.scene(file, "y", cache)
     assert again.source == first.source
 
@@ -102,10 +104,9 @@ def test_a_listed_scene_is_read_without_a_search(data, tmp_path, monkeypatch):
         ("g", 0, "gpudrive"),
     ]
     assert refs == list(readers.records(data, tmp_path / "cache")) == list(readers.records(data))
-    for search in ("find", "_accepting", "_records"):
+    for search in ("find", "_recordings", "_records"):
         monkeypatch.setattr(readers, search, lambda *_: pytest.fail("searched again"))
-    monkeypatch.setattr(womd, "records", lambda path: pytest.fail("searched again"))
-    monkeypatch.setattr(womd, "scenes", lambda path: pytest.fail("read the others"))
+    monkeypatch.setattr(womd, "recordings", lambda path: pytest.fail("read the others"))
     assert [readers.read(ref).name for ref in refs] == ["x", "y", "z", "g"]
 
 
@@ -281,12 +282,27 @@ def test_every_reader_keeps_the_contract(name, tmp_path):
     for content in (b"", b"x", b"\x00" * 64):
         file = tmp_path / "noise.bin"
         file.write_bytes(content)
-        assert reader.accepts(file) is False
-    assert reader.accepts(tmp_path / "missing") is False
+        assert list(reader.recordings(file)) == []
+    assert list(reader.recordings(tmp_path / "missing")) == []
+    assert list(reader.recordings(tmp_path)) == []
 
 
-def test_womd_finds_records_by_their_location():
-    assert isinstance(womd, IndexedReader)
+class OldReader:
+    def accepts(self, path):
+        return True
+
+    def scenes(self, path):
+        yield None
+
+
+def test_a_reader_of_the_old_contract_is_refused_with_a_sentence(data, monkeypatch):
+    load = plugins.load
+    monkeypatch.setattr(plugins, "names", lambda kind: ["old", "womd"])
+    monkeypatch.setattr(
+        plugins, "load", lambda kind, name: OldReader if name == "old" else load(kind, name)
+    )
+    with pytest.raises(PluginError, match="Reader 'old' has no 'recordings'; a reader has"):
+        readers.ids(data)
 
 
 def test_a_folder_of_results_gives_the_scenes_of_its_runs_alone(tmp_path):

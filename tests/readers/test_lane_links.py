@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import Lane
-from deepmf_sumo.readers import _lane_links
+from deepmf_sumo.readers.raw import lane_links
 
 
 def lane(name, *points, kind="street", z=0.0):
@@ -33,24 +33,24 @@ STRAIGHT = lane("a", (0, 0), (50, 0))
     ],
 )
 def test_a_lane_follows_where_it_starts_ahead(other, follows):
-    assert _lane_links.connections([STRAIGHT, other]) == ([("a", "b")] if follows else [])
+    assert lane_links.connections([STRAIGHT, other]) == ([("a", "b")] if follows else [])
 
 
 def test_a_lane_with_one_point_follows_and_is_followed():
     point = Lane(id="p", kind="street", centre_m=np.array([[50.0, 0]]), z_m=np.zeros(1))
     after = lane("b", (50, 0), (80, 0))
-    found = set(_lane_links.connections([STRAIGHT, point, after]))
+    found = set(lane_links.connections([STRAIGHT, point, after]))
     assert found == {("a", "p"), ("p", "b"), ("a", "b")}
 
 
 def test_a_closed_lane_does_not_follow_itself():
     ring = lane("r", (0, 0), (10, 0), (10, 10), (0, 10), (0, 0))
-    assert _lane_links.connections([ring]) == []
+    assert lane_links.connections([ring]) == []
 
 
 def test_parallel_lanes_are_neighbours_over_their_common_piece():
     left = lane("l", (20, 3.5), (70, 3.5))
-    found = _lane_links.neighbours([STRAIGHT, left])
+    found = lane_links.neighbours([STRAIGHT, left])
     assert set(found.left) == {"a"}
     assert set(found.right) == {"l"}
     (one,) = found.left["a"]
@@ -73,17 +73,17 @@ def test_parallel_lanes_are_neighbours_over_their_common_piece():
     ],
 )
 def test_others_are_no_neighbours(other):
-    found = _lane_links.neighbours([STRAIGHT, other])
+    found = lane_links.neighbours([STRAIGHT, other])
     assert not found.left
     assert not found.right
 
 
 def test_only_the_next_lane_is_a_neighbour():
     lanes = [lane(str(index), (0, 2.6 * index), (50, 2.6 * index)) for index in range(3)]
-    found = _lane_links.neighbours(lanes)
+    found = lane_links.neighbours(lanes)
     assert [one.lane_id for one in found.left["0"]] == ["1"]
     assert [one.lane_id for one in found.right["2"]] == ["1"]
 
 
 def test_no_lanes_have_no_links():
-    assert _lane_links.linked([]) == {}
+    assert lane_links.linked([]) == {}

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.datatypes import Polyline, RoadMap, Scene
-from deepmf_sumo.readers import Refusal, npz, womd
+from deepmf_sumo.readers import Refusal, npz, read_by, womd
 
 from tests.support import recordings_by_hand as by_hand
 
@@ -17,7 +17,7 @@ from tests.support import recordings_by_hand as by_hand
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     file = tmp_path_factory.mktemp("native") / "one.tfrecord"
-    (scene,) = womd.scenes(by_hand.shard(file, by_hand.scenario()))
+    (scene,) = read_by(womd, by_hand.shard(file, by_hand.scenario()))
     return dataclasses.replace(scene, repairs=("Something was mended.",))
 
 
@@ -46,8 +46,8 @@ def assert_same(one, other, where="scene"):
 def test_nothing_is_lost(scene, tmp_path):
     file = tmp_path / "scene.npz"
     npz.write(scene, file)
-    assert npz.accepts(file)
-    (back,) = npz.scenes(file)
+    assert any(npz.recordings(file))
+    (back,) = read_by(npz, file)
     assert_same(scene, back)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.npz"]
 
@@ -57,7 +57,7 @@ def test_priorities_at_crossings_are_kept(scene, tmp_path):
     lane = dataclasses.replace(scene.road.lanes["100"], gives_way_to=("a", "b"))
     road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
     npz.write(dataclasses.replace(scene, road=road), tmp_path / "scene.npz")
-    (back,) = npz.scenes(tmp_path / "scene.npz")
+    (back,) = read_by(npz, tmp_path / "scene.npz")
     assert back.road.lanes["100"].gives_way_to == ("a", "b")
 
 
@@ -82,7 +82,7 @@ def test_any_value_comes_back(scene, tmp_path, width, limit, name, interest):
     road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
     changed = dataclasses.replace(scene, name=name, interest=tuple(interest), road=road)
     npz.write(changed, tmp_path / "scene.npz")
-    (back,) = npz.scenes(tmp_path / "scene.npz")
+    (back,) = read_by(npz, tmp_path / "scene.npz")
     assert_same(changed, back)
 
 
@@ -92,14 +92,14 @@ def test_another_version_is_refused(scene, tmp_path):
     with np.load(file) as content:
         arrays = dict(content)
     np.savez(file, **(arrays | {"format_version": np.array(99)}))
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert "format version 99" in refusal.reason
 
 
 def test_a_scene_without_lanes_is_refused(scene, tmp_path):
     file = tmp_path / "scene.npz"
     npz.write(dataclasses.replace(scene, road=RoadMap(lanes={})), file)
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert "no lanes" in refusal.reason
 
 
@@ -109,7 +109,7 @@ def test_pickled_objects_are_refused(scene, tmp_path):
     with np.load(file) as content:
         arrays = dict(content)
     np.savez(file, **(arrays | {"description": np.array([{}], dtype=object)}))
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert isinstance(refusal, Refusal)
 
 
@@ -126,8 +126,8 @@ def test_damage_gives_the_scene_or_a_refusal(scene, data, tmp_path_factory):
         for _ in range(data.draw(st.integers(1, 3))):
             content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     file.write_bytes(content)
-    if npz.accepts(file):
-        (found,) = npz.scenes(file)
+    if any(npz.recordings(file)):
+        (found,) = read_by(npz, file)
         assert isinstance(found, Scene | Refusal)
 
 
@@ -135,14 +135,14 @@ def test_a_zip_bomb_is_refused_unread(scene, tmp_path, monkeypatch):
     file = tmp_path / "scene.npz"
     npz.write(scene, file)
     monkeypatch.setattr(npz, "LARGEST_FILE", 1000)
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert "unpacks to" in refusal.reason
 
 
 def test_another_zip_is_not_accepted(tmp_path):
     with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
         archive.writestr("a.txt", "text")
-    assert not npz.accepts(tmp_path / "other.zip")
+    assert not any(npz.recordings(tmp_path / "other.zip"))
 
 
 def changed(file, **changes):
@@ -199,7 +199,7 @@ def test_a_wrong_field_is_a_refusal_that_names_file_and_field(changes, field, sc
     file = tmp_path / "scene.npz"
     npz.write(scene, file)
     changed(file, **changes)
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert isinstance(refusal, Refusal)
     assert str(file) in refusal.reason
     assert field in refusal.reason, refusal.reason
@@ -211,11 +211,11 @@ def test_kinds_of_lines_are_those_that_exporters_know(part, first_unknown, scene
     one = Polyline(id="l", kind=first_unknown - 1, points_m=np.eye(2), z_m=np.zeros(2))
     scene = replace(scene, road=replace(scene.road, **{part: (one,)}))
     npz.write(scene, file)
-    (read,) = npz.scenes(file)
+    (read,) = read_by(npz, file)
     assert read.name == scene.name
     wrong = replace(scene.road, **{part: (replace(one, kind=first_unknown),)})
     npz.write(replace(scene, road=wrong), file)
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert isinstance(refusal, Refusal)
     assert "kind" in refusal.reason
     assert str(first_unknown) in refusal.reason
@@ -225,7 +225,7 @@ def test_links_to_what_is_not_there_are_refused(scene, tmp_path):
     lane = dataclasses.replace(scene.road.lanes["100"], next=("nowhere",))
     road = dataclasses.replace(scene.road, lanes=scene.road.lanes | {"100": lane})
     npz.write(dataclasses.replace(scene, road=road), tmp_path / "scene.npz")
-    (refusal,) = npz.scenes(tmp_path / "scene.npz")
+    (refusal,) = read_by(npz, tmp_path / "scene.npz")
     assert "links to lanes" in refusal.reason
 
 
@@ -240,5 +240,5 @@ def test_an_array_that_claims_more_than_it_has_is_not_made(scene, tmp_path):
     with zipfile.ZipFile(file, "w") as archive:
         for name, content in members.items():
             archive.writestr(name, content)
-    (refusal,) = npz.scenes(file)
+    (refusal,) = read_by(npz, file)
     assert "shape (99999999999,), but has 80 bytes" in refusal.reason

@@ -7,14 +7,14 @@ import pickle
 import numpy as np
 import pytest
 
-from deepmf_sumo.readers import Refusal, gpudrive, scenarionet, womd
+from deepmf_sumo.readers import Refusal, gpudrive, read_by, scenarionet, womd
 
 from tests.support import recordings_by_hand as by_hand
 
 
 @pytest.fixture
 def original(tmp_path):
-    (scene,) = womd.scenes(by_hand.shard(tmp_path / "one.tfrecord", by_hand.scenario()))
+    (scene,) = read_by(womd, by_hand.shard(tmp_path / "one.tfrecord", by_hand.scenario()))
     return scene
 
 
@@ -33,8 +33,8 @@ def unpickled(tmp_path):
     def read(description):
         file = tmp_path / "scene.pkl"
         file.write_bytes(pickle.dumps(description))
-        assert scenarionet.accepts(file)
-        (found,) = scenarionet.scenes(file)
+        assert any(scenarionet.recordings(file))
+        (found,) = read_by(scenarionet, file)
         return found
 
     return read
@@ -45,8 +45,8 @@ def parsed(tmp_path):
     def read(content):
         file = tmp_path / "scene.json"
         file.write_text(json.dumps(content))
-        assert gpudrive.accepts(file)
-        (found,) = gpudrive.scenes(file)
+        assert any(gpudrive.recordings(file))
+        (found,) = read_by(gpudrive, file)
         return found
 
     return read
@@ -287,5 +287,5 @@ def test_unusable_json_is_refused(drive, parsed, damage, said):
 def test_json_that_is_cut_or_nested_too_deep_is_refused(tmp_path, content):
     file = tmp_path / "cut.json"
     file.write_text(content)
-    (refusal,) = gpudrive.scenes(file)
+    (refusal,) = read_by(gpudrive, file)
     assert isinstance(refusal, Refusal)

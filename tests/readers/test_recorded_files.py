@@ -115,14 +115,14 @@ def test_an_original_is_the_scene_of_the_shards(womd, index, part, split):
 
 
 def test_inferred_links_match_recorded_ones(womd, index):
-    from deepmf_sumo.readers import _lane_links
+    from deepmf_sumo.readers.raw import lane_links
 
     recorded = inferred = common = 0
     for scene in readers.scenes([womd / "val" / "val-00000-of-00004.tfrecord.gz"]):
         if index[scene.name]["has_connectivity_original"] == "1":
             lanes = list(scene.road.lanes.values())
             there = {(lane.id, other) for lane in lanes for other in lane.next}
-            found = set(_lane_links.connections(lanes))
+            found = set(lane_links.connections(lanes))
             recorded, inferred = recorded + len(there), inferred + len(found)
             common += len(there & found)
     assert common / recorded > 0.98

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import SignalState
-from deepmf_sumo.readers import Refusal, scenarionet
+from deepmf_sumo.readers import Refusal, read_by, scenarionet
 
 from tests.support import converted_by_hand as by_hand
 
@@ -18,7 +18,7 @@ def read(tmp_path):
     def read(described):
         file = tmp_path / "scene.pkl"
         file.write_bytes(pickle.dumps(described))
-        (found,) = scenarionet.scenes(file)
+        (found,) = read_by(scenarionet, file)
         assert not isinstance(found, Refusal), found.reason
         return found
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.datatypes import SignalState
-from deepmf_sumo.readers import Refusal, _tfrecord, womd
+from deepmf_sumo.readers import Refusal, _tfrecord, read_by, womd
 
 from tests.support.recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 
@@ -12,7 +12,7 @@ from tests.support.recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 @pytest.fixture
 def read(tmp_path):
     def one(message):
-        (found,) = womd.scenes(shard(tmp_path / "one.tfrecord", message))
+        (found,) = read_by(womd, shard(tmp_path / "one.tfrecord", message))
         return found
 
     return one
@@ -241,19 +241,19 @@ def test_a_damaged_record_does_not_cost_the_next(tmp_path):
     content = bytearray(file.read_bytes())
     content[1000] ^= 1
     file.write_bytes(content)
-    first, second = womd.scenes(file)
+    first, second = read_by(womd, file)
     assert isinstance(first, Refusal)
     assert "checksum of its content" in first.reason
     assert second.name == "b"
-    assert [ref.name for ref in womd.records(file)] == ["shard.tfrecord record 0", "b"]
+    assert [ref.name for ref in womd.recordings(file)] == ["", "b"]
 
 
 def test_a_cut_gzip_shard_gives_what_is_whole(tmp_path):
     whole = shard(tmp_path / "whole", scenario(name="a"), scenario(name="b")).read_bytes()
     file = tmp_path / "cut.tfrecord.gz"
     file.write_bytes(gzip.compress(whole)[:-300])
-    assert womd.accepts(file)
-    first, second = womd.scenes(file)
+    assert any(womd.recordings(file))
+    first, second = read_by(womd, file)
     assert first.name == "a"
     assert isinstance(second, Refusal)
 
@@ -261,6 +261,6 @@ def test_a_cut_gzip_shard_gives_what_is_whole(tmp_path):
 def test_records_of_another_kind_are_refused(tmp_path):
     file = tmp_path / "other.tfrecord"
     file.write_bytes(_tfrecord.framed(b"\x0a\x03abc") + _tfrecord.framed(b"\xff\xff"))
-    example, noise = womd.scenes(file)
+    example, noise = read_by(womd, file)
     assert "'tf_example'" in example.reason
     assert "not a Scenario message" in noise.reason

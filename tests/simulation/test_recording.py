@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from deepmf_sumo.cli.data import record as command
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.readers import npz
+from deepmf_sumo.readers import npz, read_by
 from deepmf_sumo.recording.record import Recording, record
 
 PROGRAMS = Path(sumo.SUMO_HOME) / "bin"
@@ -139,4 +139,4 @@ def test_command_writes_files_that_can_be_read(config, tmp_path):
     assert "2 scenes" in result.output
     files = sorted(out.glob("grid-4/*.npz"))
     assert len(files) == 2
-    assert [scene.tracks.steps for file in files for scene in npz.scenes(file)] == [91, 91]
+    assert [scene.tracks.steps for file in files for scene in read_by(npz, file)] == [91, 91]

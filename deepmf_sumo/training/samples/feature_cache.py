@@ -25,7 +25,7 @@ import numpy as np
 from deepmf_sumo import readers
 from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
-from deepmf_sumo.files import opened
+from deepmf_sumo.files import inside, opened
 from deepmf_sumo.readers.base import Refusal
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
 from deepmf_sumo.training.samples.places import Area, area_of
@@ -147,7 +147,8 @@ def digest_of(kind: str, settings: str, path: Path) -> str:
     content, and is refused with the others. Raises UsageError if the path does not exist.
     """
     hasher = hashlib.sha256(f"{VERSION} {kind} {settings}".encode())
-    for file in readers.find([path]):
+    roots = readers.find([path])
+    for file in (file for root in roots for file in (inside(root) if root.is_dir() else [root])):
         try:
             with opened(file) as stream:
                 content = hashlib.file_digest(stream, "sha256").hexdigest()

@@ -13,7 +13,7 @@ import numpy as np
 from deepmf_sumo import plugins, readers
 from deepmf_sumo.cli import data, main  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.readers import _tfrecord, npz, womd
+from deepmf_sumo.readers import _tfrecord, npz, read_by, womd
 from deepmf_sumo.readers.protos import scenario_pb2 as pb
 
 from tests.fuzz import mutators, runner
@@ -160,7 +160,7 @@ def _change_json(rng: random.Random, path: Path) -> None:
 
 
 def _npz(folder: Path) -> Path:
-    (scene,) = womd.scenes(by_hand.shard(folder / "one.tfrecord", by_hand.scenario()))
+    (scene,) = read_by(womd, by_hand.shard(folder / "one.tfrecord", by_hand.scenario()))
     npz.write(scene, folder / "scene.npz")
     (folder / "one.tfrecord").unlink()
     return folder / "scene.npz"

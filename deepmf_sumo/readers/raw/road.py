@@ -1,4 +1,4 @@
-"""What a format's reader builds from a file: a `Recording`, which `_checks` turns into a Scene."""
+"""The road and the signals of a raw scene, feature by feature, and what fields of formats mean."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -7,8 +7,6 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.datatypes import (
-    AgentKind,
-    Bools,
     Boundary,
     Floats,
     Lane,
@@ -17,7 +15,6 @@ from deepmf_sumo.datatypes import (
     Polyline,
     RoadMap,
     Signals,
-    Source,
     StopSign,
 )
 from deepmf_sumo.datatypes.scene import LaneKind, PolygonKind
@@ -25,49 +22,6 @@ from deepmf_sumo.datatypes.scene import LaneKind, PolygonKind
 LANE_KINDS: Final[tuple[LaneKind, ...]] = ("unknown", "freeway", "street", "bike")
 """By WOMD's LaneCenter.type."""
 MPS_PER_MPH: Final = 0.44704
-
-
-@dataclass(kw_only=True)
-class RecordingTracks:
-    """Motion as the file states it; the shapes are those of `Tracks`, except for the sizes.
-
-    Attributes:
-        size_m: (A, T, 3) length, width, height at each step.
-        position_m: (A, T, 3).
-    """
-
-    ids: list[str]
-    kinds: list[AgentKind]
-    size_m: Floats
-    position_m: Floats
-    heading_rad: Floats
-    velocity_mps: Floats
-    valid: Bools
-
-
-@dataclass(kw_only=True)
-class Recording:
-    """A scene as its file states it, before the checks.
-
-    Attributes:
-        now: the scene's current step.
-        timestamps_s: (T), or empty if the file has none: then 0, 0.1, 0.2, ...
-        signals: over T steps, or over 0 if the file has none.
-        av_id: None if the file does not name the AV.
-        repairs: one sentence for each repair or inference of the reader.
-    """
-
-    name: str
-    source: Source
-    now: int
-    timestamps_s: Floats
-    tracks: RecordingTracks
-    road: RoadMap
-    signals: Signals
-    av_id: str | None
-    interest: tuple[str, ...] = ()
-    to_predict: tuple[str, ...] = ()
-    repairs: list[str] = field(default_factory=list)
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Checks of a recording's clock and of the motion in it; `_checks` has the others."""
+"""Checks of a recording's clock and of the motion in it; `repair` has the others."""
 
 import itertools
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 
 from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, Bools, Floats, Ints, frozen
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.readers._recording import Recording, RecordingTracks
+from deepmf_sumo.readers.raw import RawScene, RawTracks
 
 RATE_OFF: Final = 0.02
 """Share by which the clock may differ from 0.1 s a step over the whole recording,"""
@@ -32,7 +32,7 @@ FARTHEST_M: Final = 1e6
 """Recordings have their origin closer than this."""
 
 
-def thinned(recording: Recording) -> Recording:
+def thinned(recording: RawScene) -> RawScene:
     """A recording of 20, 30, ... Hz with every second, third, ... step of it, else as it is."""
     times = recording.timestamps_s
     steps = recording.tracks.valid.shape[1]
@@ -48,7 +48,7 @@ def thinned(recording: Recording) -> Recording:
         recording,
         now=max(recording.now // every, HISTORY_STEPS - 1),
         timestamps_s=times[first::every],
-        tracks=RecordingTracks(
+        tracks=RawTracks(
             ids=raw.ids,
             kinds=raw.kinds,
             size_m=raw.size_m[:, first::every],
@@ -119,7 +119,7 @@ def _refuse_drift(recorded: Floats, off_s: Floats) -> None:
             )
 
 
-def flatten_unknown_heights(raw: RecordingTracks, repairs: list[str]) -> None:
+def flatten_unknown_heights(raw: RawTracks, repairs: list[str]) -> None:
     """Set heights to 0, in place, that are not finite at states whose place is."""
     placed = np.isfinite(raw.position_m[..., :2]).all(-1)
     unknown = raw.valid & placed & ~np.isfinite(raw.position_m[..., 2])
@@ -128,7 +128,7 @@ def flatten_unknown_heights(raw: RecordingTracks, repairs: list[str]) -> None:
         repairs.append(f"{int(unknown.sum())} states without a height were taken to be at 0.")
 
 
-def drop_impossible_states(raw: RecordingTracks, repairs: list[str]) -> None:
+def drop_impossible_states(raw: RawTracks, repairs: list[str]) -> None:
     """Make states invalid whose numbers are not finite or a million metres away, in place."""
     finite = (
         np.isfinite(raw.position_m).all(-1)
@@ -145,7 +145,7 @@ def drop_impossible_states(raw: RecordingTracks, repairs: list[str]) -> None:
     raw.valid = raw.valid & ~bad
 
 
-def refuse_other_rate(raw: RecordingTracks, timestamps_s: Floats) -> None:
+def refuse_other_rate(raw: RawTracks, timestamps_s: Floats) -> None:
     """Raises ReaderError if the road users move more, or less, than their speeds say.
 
     So they do in files whose steps are not as long as their timestamps say, or that have none.
@@ -168,7 +168,7 @@ def refuse_other_rate(raw: RecordingTracks, timestamps_s: Floats) -> None:
 
 
 def cut_jumps(
-    raw: RecordingTracks, timestamps_s: Floats, now: int, av_id: str, repairs: list[str]
+    raw: RawTracks, timestamps_s: Floats, now: int, av_id: str, repairs: list[str]
 ) -> None:
     """Where a track jumps it becomes another object's: keep the part at ``now``, in place.
 
@@ -194,7 +194,7 @@ def cut_jumps(
         )
 
 
-def _jumps(raw: RecordingTracks, timestamps_s: Floats) -> tuple[Floats, Ints]:
+def _jumps(raw: RawTracks, timestamps_s: Floats) -> tuple[Floats, Ints]:
     """(A, T - 1) length of the jump to the next step, 0 without one; the last valid step up to it.
 
     After a gap it counts from the last step before the gap.
@@ -218,7 +218,7 @@ def _jumps(raw: RecordingTracks, timestamps_s: Floats) -> tuple[Floats, Ints]:
     return np.where(jumps, distance, 0.0), before
 
 
-def _speeds(raw: RecordingTracks) -> Floats:
+def _speeds(raw: RawTracks) -> Floats:
     """(A, T) recorded speeds, 0 where there is no state."""
     velocity = np.where(raw.valid[..., None], raw.velocity_mps, 0.0)
     return np.hypot(velocity[..., 0], velocity[..., 1])

@@ -1,4 +1,4 @@
-"""Checks and repairs of recorded scenes. Every repair is reported in a sentence."""
+"""Raw scene -> Scene: checks and repairs. Every repair is reported in a sentence."""
 
 import itertools
 from collections import Counter
@@ -26,9 +26,9 @@ from deepmf_sumo.datatypes import (
 )
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.geometry import frames
-from deepmf_sumo.readers import _motion_checks
-from deepmf_sumo.readers._motion_checks import FARTHEST_M
-from deepmf_sumo.readers._recording import Recording, RecordingTracks, quoted
+from deepmf_sumo.readers.raw import RawScene, RawTracks, motion
+from deepmf_sumo.readers.raw.motion import FARTHEST_M
+from deepmf_sumo.readers.raw.road import quoted
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
 MOST_STATES: Final = 1_000_000
@@ -50,50 +50,45 @@ Feature = Lane | Polyline | Polygon | StopSign
 F = TypeVar("F", Polyline, Polygon, StopSign)
 
 
-def checked(recording: Recording) -> Scene:
-    """The scene, repaired where that is possible; `Scene.repairs` says how.
+def repair(found: RawScene | Scene) -> Scene:
+    """The scene of what a reader loaded, repaired where that is possible; `Scene.repairs` says how.
 
-    Raises ReaderError with file, record and reason if the scene cannot be used.
+    A Scene, which was checked before it was written, stays as it is: where it would need a repair
+    it is refused. Raises ReaderError with the reason, without place and full stop.
     """
-    try:
-        with np.errstate(all="ignore"):  # the checks find damaged numbers
-            return _checked(recording)
-    except ReaderError as error:
-        source = recording.source
-        raise ReaderError(f"{source.file} record {source.record}: {error}.") from None
+    with np.errstate(all="ignore"):  # the checks find damaged numbers
+        if isinstance(found, RawScene):
+            found = motion.thinned(found)
+        tracks, lights = found.tracks, found.signals
+        _refuse_ids(found.name, tracks.ids, lights.lane_ids, found.road)
+        _refuse_extent(tracks.ids, tracks.valid.shape[1], found.now)
+        _refuse_twice(tracks.ids, lights.lane_ids)
+        return _repaired(found) if isinstance(found, RawScene) else _confirmed(found)
 
 
-def confirmed(scene: Scene) -> Scene:
-    """A scene that was checked before, unchanged. Raises ReaderError with the reason alone."""
-    with np.errstate(all="ignore"):
-        tracks, now = scene.tracks, scene.now
-        _refuse_ids(scene.name, tracks.ids, scene.signals.lane_ids, scene.road)
-        _refuse_extent(tracks.ids, tracks.steps, now)
-        _refuse_twice(tracks.ids, scene.signals.lane_ids)
-        _refuse_values(tracks)
-        _refuse_av(scene.av_id, tracks.valid[tracks.row(scene.av_id)], now)
-        _refuse_unknown(scene)
-        repairs: list[str] = []
-        _repaired_road(scene.road, repairs)
-        if repairs:
-            raise ReaderError(f"the road was changed: {repairs[0].rstrip('.')}")
+def _confirmed(scene: Scene) -> Scene:
+    """A scene that was checked before, unchanged."""
+    tracks, now = scene.tracks, scene.now
+    _refuse_values(tracks)
+    _refuse_av(scene.av_id, tracks.valid[tracks.row(scene.av_id)], now)
+    _refuse_unknown(scene)
+    repairs: list[str] = []
+    _repaired_road(scene.road, repairs)
+    if repairs:
+        raise ReaderError(f"the road was changed: {repairs[0].rstrip('.')}")
     return scene
 
 
-def _checked(recording: Recording) -> Scene:
-    recording = _motion_checks.thinned(recording)
+def _repaired(recording: RawScene) -> Scene:
     raw, now, repairs = recording.tracks, recording.now, list(recording.repairs)
     steps = raw.valid.shape[1]
-    _refuse_ids(recording.name, raw.ids, recording.signals.lane_ids, recording.road)
-    _refuse_extent(raw.ids, steps, now)
-    _refuse_twice(raw.ids, recording.signals.lane_ids)
     av_id = _named_av(recording)
-    timestamps = _motion_checks.timestamps(recording.timestamps_s, steps, repairs)
-    _motion_checks.flatten_unknown_heights(raw, repairs)
-    _motion_checks.drop_impossible_states(raw, repairs)
+    timestamps = motion.timestamps(recording.timestamps_s, steps, repairs)
+    motion.flatten_unknown_heights(raw, repairs)
+    motion.drop_impossible_states(raw, repairs)
     _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], now, repairs)
-    _motion_checks.refuse_other_rate(raw, timestamps)
-    _motion_checks.cut_jumps(raw, timestamps, now, av_id, repairs)
+    motion.refuse_other_rate(raw, timestamps)
+    motion.cut_jumps(raw, timestamps, now, av_id, repairs)
     road = _repaired_road(with_heights(recording.road, repairs), repairs)
     tracks = _finished(raw, now, av_id, repairs)
     return Scene(
@@ -182,7 +177,7 @@ def _refuse_unknown(scene: Scene) -> None:
     times = scene.timestamps_s
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
         raise ReaderError("'timestamps_s' is not finite or runs backwards")
-    _motion_checks.timestamps(times, scene.tracks.steps, [])
+    motion.timestamps(times, scene.tracks.steps, [])
     strange = scene.signals.state[scene.signals.state > max(SignalState)]
     if len(strange):
         raise ReaderError(f"'signals_state' has the unknown state {strange[0]}")
@@ -202,7 +197,7 @@ def _known(
 # The AV and the clock
 
 
-def _named_av(recording: Recording) -> str:
+def _named_av(recording: RawScene) -> str:
     av_id = recording.av_id
     if av_id is None:
         raise ReaderError(
@@ -237,7 +232,7 @@ def _refuse_values(tracks: Tracks) -> None:
         raise ReaderError(f"agent {tracks.ids[int(flat.argmax())]} has no length or width")
 
 
-def _finished(raw: RecordingTracks, now: int, av_id: str, repairs: list[str]) -> Tracks:
+def _finished(raw: RawTracks, now: int, av_id: str, repairs: list[str]) -> Tracks:
     """Tracks with one size per agent, wrapped headings, zeros where invalid.
 
     Agents without a valid state are dropped. Raises ReaderError if the AV has no size.
