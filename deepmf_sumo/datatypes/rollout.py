@@ -117,6 +117,10 @@ class Rollout(Frozen):
         """First contact of a kind."""
         return next((contact for contact in self.contacts if contact.kind == kind), None)
 
+    def plans_of(self, agent: AgentId) -> tuple[Plan, ...]:
+        """The plans that an agent followed."""
+        return tuple(plan for plan in self.plans if plan.agent_id == agent)
+
     @property
     def outcome(self) -> str:
         """``av_opponent`` if the attack hit, else the earliest other contact, else ``none``."""
@@ -145,11 +149,7 @@ class Rollout(Frozen):
             attackers=(attacker,),
             contacts=tuple(one for one in self._contacts_of(attacker) if one.step in steps),
             events=tuple(event for event in self.events if event.step in steps),
-            plans=tuple(
-                plan
-                for plan in self.plans
-                if plan.first_step in steps and plan.agent_id == attacker
-            ),
+            plans=tuple(one for one in self.plans_of(attacker) if one.first_step in steps),
             ended=turn.ended,
             leaders=self.leaders[simulated],
             signals=self.signals[simulated],

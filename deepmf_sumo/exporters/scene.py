@@ -60,7 +60,7 @@ def scene_of(run: Exportable) -> Scene:
 def _with_plans(tracks: Tracks, rollout: Rollout, road: RoadMap) -> Tracks:
     """The attackers' last plans after the end of the episode, at the heights of the road."""
     for agent in rollout.attackers:
-        plans = [plan for plan in rollout.plans if plan.agent_id == agent]
+        plans = rollout.plans_of(agent)
         if plans and agent in tracks.ids:
             tracks = _with_plan(tracks, plans[-1], rollout.tracks.steps, road)
     return tracks

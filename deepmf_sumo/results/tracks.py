@@ -42,10 +42,10 @@ class RecordedTracks:
 
 def write_tracks(path: Path, rollout: Rollout) -> None:
     """One row per agent and step; time 0 is the step at which the simulation took over."""
-    tracks = rollout.tracks
+    tracks, roles = rollout.tracks, rollout.roles
     drivers = {int(driver): driver.name.lower() for driver in Driver}
     who = [
-        f"{_quoted(agent_id)},{kind},{rollout.roles.get(agent_id, 'other')}"
+        f"{_quoted(agent_id)},{kind},{roles.get(agent_id, 'other')}"
         for agent_id, kind in zip(tracks.ids, tracks.kinds, strict=True)
     ]
     size = [f"{length:.3f},{width:.3f}" for length, width, _ in tracks.size_m]

@@ -131,8 +131,8 @@ def read(folder: Path) -> Failure:
         ),
         plans=tuple(
             replace(plan, first_step=plan.first_step - now)
-            for plan in rollout.plans
-            if plan.agent_id == rollout.opponent_id and plan.first_step <= hit.step
+            for plan in rollout.plans_of(rollout.opponent_id)
+            if plan.first_step <= hit.step
         ),
         begin=round(chosen / rollout.dt_s),
         contact=hit.step - now,

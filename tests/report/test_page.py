@@ -522,8 +522,14 @@ def test_a_line_breaks_between_turns():
         {"opponent": "b", "begin": 2.0, "end": 3.0},
     ]
     scene = {"now": 10, "dt": 0.1, "agents": [{"id": "c"}, {"id": "b"}], "turns": turns}
-    asked = f"[10, 20, 25, 40].map((step) => attackerAt({json.dumps(scene)}, step)?.id ?? null)"
-    assert javascript(["turns"], asked) == ["c", "c", None, "b"]
+    asked = "[10, 20, 25, 40].map((step) => attackersAt(SCENE, step).map((one) => one.id))"
+    asked += ".concat(attackersOf(SCENE))"
+    found = javascript(["turns"], asked.replace("SCENE", json.dumps(scene)))
+    assert found == [["c"], ["c"], [], ["b"], "whose turn it is"]
+    for turn in turns:
+        turn |= {"begin": 0.0, "end": 2.0}
+    found = javascript(["turns"], asked.replace("SCENE", json.dumps(scene)))
+    assert found == [["c", "b"]] * 3 + [[], "c, b"]
 
 
 @pytest.mark.sumo

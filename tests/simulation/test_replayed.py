@@ -58,6 +58,19 @@ class Towards:
         }
 
 
+class Together:
+    """Drives what several policies drive."""
+
+    def __init__(self, *policies):
+        self.policies, self.period_steps = policies, policies[0].period_steps
+
+    def reset(self, view, rng):
+        return tuple(agent for one in self.policies for agent in one.reset(view, rng))
+
+    def plan(self, view):
+        return {agent: plan for one in self.policies for agent, plan in one.plan(view).items()}
+
+
 def both(case, policy):
     """The episode without SUMO and with it; ``policy`` makes the policy."""
     planner = replay.build(replay.Settings())
@@ -76,7 +89,7 @@ def assert_same(one, other):
     assert one.driver.tobytes() == other.driver.tobytes()
     assert repr(one.contacts) == repr(other.contacts)
     assert one.events == tuple(e for e in other.events if e.kind not in OF_SUMO)
-    for name in ("now", "ended", "opponent_id", "signals", "leaders"):
+    for name in ("now", "ended", "attackers", "turns", "signals", "leaders"):
         assert getattr(one, name) == getattr(other, name), name
     for mine, theirs in zip(one.plans, other.plans, strict=True):
         assert mine.position_m.tobytes() == theirs.position_m.tobytes()
@@ -114,6 +127,13 @@ def case(tmp_path_factory):
         lambda: Towards("b", "walker", 10),  # the plan ends long before the episode
         lambda: Towards("b", "av", 60, period=10),
         lambda: Towards("b", "av", 7, period=20),  # goes on without a plan in between
+        *(
+            pytest.param(pair, marks=pytest.mark.jumps("one of them turns on the spot"))
+            for pair in (
+                lambda: Together(Towards("b", "av", 60, period=10), Towards("close", "av", 70)),
+                lambda: Together(Towards("close", "b", 20, period=30), Towards("b", "av", 25)),
+            )
+        ),
         pytest.param(
             lambda: Towards("walker", "av", 20, period=3),
             marks=pytest.mark.jumps("a person runs off at 7 m/s"),

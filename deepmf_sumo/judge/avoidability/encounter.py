@@ -99,8 +99,9 @@ def _opponent_motion(rollout: Rollout, row: int, first: int, last: int) -> tuple
     end = int(np.flatnonzero(rollout.tracks.valid[row])[-1]) + 1
     position = rollout.tracks.position_m[row, first:end]
     heading = rollout.tracks.heading_rad[row, first:end]
-    if rollout.plans:
-        plan = rollout.plans[-1]
+    plans = rollout.plans_of(rollout.tracks.ids[row])
+    if plans:
+        plan = plans[-1]
         rest = slice(max(0, end - plan.first_step), None)
         position = np.concatenate([position, plan.position_m[rest]])
         heading = np.concatenate([heading, plan.heading_rad[rest]])

@@ -7,6 +7,9 @@ A metric takes an `Episode` and returns a number, or raises `NotMeasurable` with
         '''Least distance of the boxes of AV and opponent over the simulated steps.'''
         return series(episode).gap_m.min()
 
+An episode is of one attacker, ``episode.rollout.opponent_id``: where several attack, each is
+measured on its own, in the rollout as if it were alone (`Rollout.of_turn`).
+
 The function's name is that of the metric, the first paragraph of its docstring the definition that
 is printed with results. Metrics of other packages join through the entry point group
 ``deepmf_sumo.metrics``; see `plugins`.

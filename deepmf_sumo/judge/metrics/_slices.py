@@ -118,8 +118,9 @@ def planned_poses(rollout: Rollout, row: int, last: int) -> dict[int, Floats]:
     """(2) positions by step up to ``last``: driven ones, then those of the last plan."""
     steps = np.flatnonzero(driven(rollout, row)).tolist()
     found = {step: rollout.tracks.position_m[row, step] for step in steps if step <= last}
-    if steps and rollout.plans:
-        plan = rollout.plans[-1]
+    plans = rollout.plans_of(rollout.tracks.ids[row])
+    if steps and plans:
+        plan = plans[-1]
         end = plan.first_step + len(plan.position_m)
         for step in range(max(steps[-1] + 1, plan.first_step), min(end, last + 1)):
             found[step] = plan.position_m[step - plan.first_step]

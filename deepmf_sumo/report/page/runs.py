@@ -26,7 +26,11 @@ _FACTS: Final = (
 )  # fmt: skip
 """Keys of ``result.json`` that the page shows as they are."""
 _BEFORE: Final = "an earlier version judged this run by its own plan"
-_ENDED: Final = {"too_long": "longest time of a turn", "time": "end of the run"}
+_ENDED: Final = {
+    "too_long": "longest time of a turn",
+    "time": "end of the run",
+    "other_hit": "another attacker hit the AV",
+}
 """Names of `datatypes.turn` that do not explain themselves."""
 
 
@@ -149,7 +153,7 @@ def _facts(run: Run, result: Result | None) -> dict[str, Any]:
 
 
 def _turns(turns: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Which opponent attacked when, and how that ended, where opponents took turns."""
+    """Which opponent attacked when, and how that ended, where several attacked."""
     gaps = [turn["metrics"].get("min_gap") for turn in turns]
     nearest = min((gap for gap in gaps if gap is not None), default=None)
     hits = [number for number, turn in enumerate(turns) if turn["ended"] == "contact"]

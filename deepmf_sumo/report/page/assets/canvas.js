@@ -21,7 +21,7 @@ function scoreColour(score) {
 /** Bounds of what AV and opponent drive, with a margin. */
 function drivenBounds(scene) {
   const places = [];
-  for (const agent of [scene.av, scene.opponent].filter(Boolean)) {
+  for (const agent of scene.main) {
     for (const part of agent.parts) {
       part.x.forEach((x, place) => {
         if (part.first + place >= scene.now) places.push([x, part.y[place]]);
@@ -56,16 +56,17 @@ function drawMoment(canvas, scene, camera, step, shown, candidate) {
   const brush = { context, colour, metre: 1 / scale };
   if (shown.map) drawRoad(brush, scene.shapes);
   if (shown.lights) drawLights(brush, scene.lights, step);
+  const attackers = attackersAt(scene, step);
   const plan = planAt(scene, step);
+  for (const other of attackers) {
+    const its = planAt(scene, step, other.id);
+    if (its && its !== plan) drawPath(brush, its);
+  }
   if (plan) drawPlan(brush, plan, shown, candidate);
-  if (shown.driven)
-    [scene.av, scene.opponent]
-      .filter(Boolean)
-      .forEach((agent) => drawDriven(brush, scene, agent, step));
+  if (shown.driven) scene.main.forEach((agent) => drawDriven(brush, scene, agent, step));
   const scores = shown.scores && plan?.scores ? plan.scores : {};
-  const attacker = attackerAt(scene, step);
   for (const agent of scene.agents) {
-    const role = agent === scene.av ? "av" : agent === attacker ? "opponent" : "other";
+    const role = agent === scene.av ? "av" : attackers.includes(agent) ? "opponent" : "other";
     drawAgent(brush, agent, role, step, scores);
   }
   for (const contact of scene.contacts)
@@ -149,6 +150,10 @@ function drawPlan({ context, colour, metre }, plan, shown, number) {
     }
     context.globalAlpha = 1;
   }
+  drawPath({ context, colour, metre }, plan);
+}
+
+function drawPath({ context, colour, metre }, plan) {
   line(context, plan.path, colour("opponent"), 2.2 * metre, [6 * metre, 3 * metre]);
 }
 

@@ -5,8 +5,8 @@ const CHART = { width: 460, height: 150, left: 44, right: 10, top: 20, bottom: 2
 /** Three drawings and a function that moves their cursors to a step. `seek` is called with a step. */
 function chartsOf(scene, seek) {
   const end = scene.steps - 1;
-  const speeds = [scene.av, scene.opponent].filter(Boolean).map((agent) => ({
-    name: agent.role,
+  const speeds = scene.main.map((agent) => ({
+    name: agent === scene.av ? "av" : "opponent",
     points: agent.speed.values.map((value, place) => [agent.speed.first + place, value]),
   }));
   const timeline = scene.timeline;

@@ -126,7 +126,7 @@ function fitting({ clientWidth, clientHeight }, [left, bottom, right, top]) {
 /** Bounds of AV and opponent in these steps. */
 function nearBounds(scene, first, last) {
   const places = [];
-  for (const agent of [scene.av, scene.opponent].filter(Boolean)) {
+  for (const agent of scene.main) {
     for (let step = Math.ceil(first); step <= last; step += 1) {
       const pose = poseAt(agent, step);
       if (pose) places.push([pose.x, pose.y]);

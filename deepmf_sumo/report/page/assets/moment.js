@@ -4,9 +4,9 @@ function momentText(scene, step) {
   const driven = (agent, name) =>
     `${name} ${fixed(speedAt(agent, step), 1)} m/s (${driverAt(agent, step)})`;
   const parts = [`${((step - scene.now) * scene.dt).toFixed(1)} s`, driven(scene.av, "AV")];
-  const attacker = attackerAt(scene, step);
-  if (attacker?.drivers) parts.push(driven(attacker, "opponent"));
-  else if (attacker) parts.push(`opponent: vehicle ${attacker.id}`);
+  for (const attacker of attackersAt(scene, step))
+    if (attacker.drivers) parts.push(driven(attacker, "opponent"));
+    else parts.push(`opponent: vehicle ${attacker.id}`);
   const conflict = conflictAt(scene, step);
   if (conflict) {
     const ttc = conflict.ttc === null ? "above 10 s or none" : `${fixed(conflict.ttc, 1)} s`;

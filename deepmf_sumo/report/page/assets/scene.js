@@ -20,6 +20,9 @@ function sceneOf(details, road) {
     turns: details.turns,
     av: agents.find((agent) => agent.role === "av"),
     opponent: agents.find((agent) => agent.role === "opponent"),
+    main: ["av", "opponent", "attacker"].flatMap((role) =>
+      agents.filter((agent) => agent.role === role),
+    ),
     plans: details.reasons.map(planOf),
     lights: details.lights ?? [],
     shapes: road ? shapesOf(road, replay.origin) : [],
@@ -99,10 +102,13 @@ function driverAt(agent, step) {
 }
 
 /** The plan that drives at a step: the last one that has begun. */
-function planAt(scene, step) {
-  let found = null;
-  for (const plan of scene.plans) if (plan.step <= Math.floor(step) + 1) found = plan;
-  return found;
+function planAt(scene, step, agent) {
+  const made = scene.plans.filter(
+    (plan) => plan.step <= Math.floor(step) + 1 && plan.agent === (agent ?? plan.agent),
+  );
+  const last = made.at(-1);
+  const main = made.findLast((plan) => plan.agent === scene.opponent?.id);
+  return (main?.step === last?.step ? main : last) ?? null;
 }
 
 /** Gap and time to collision at a step. */

@@ -1,4 +1,4 @@
-// Opponents that took turns: when each attacked, and how that ended.
+// Several opponents, together or in turn: when each attacked, and how that ended.
 
 /** A table with one row per turn; its number is a button that shows the turn's beginning. */
 function turnsOf(details, player) {
@@ -42,18 +42,20 @@ function turnsOf(details, player) {
   );
 }
 
-/** The attacker at a step; of opponents in turn the one whose turn it is, undefined between. */
-function attackerAt(scene, step) {
-  if (!scene.turns?.length) return scene.opponent;
+/** The attackers at a step; of opponents in turn the one whose turn it is, none between. */
+function attackersAt(scene, step) {
+  if (!scene.turns?.length) return [scene.opponent].filter(Boolean);
   const seconds = (step - scene.now) * scene.dt;
-  const turn = scene.turns.find(
-    (one) => one.begin <= seconds + 1e-6 && seconds <= one.end + 1e-6,
-  );
-  return turn && scene.agents.find((agent) => agent.id === turn.opponent);
+  const ids = scene.turns
+    .filter((one) => one.begin <= seconds + 1e-6 && seconds <= one.end + 1e-6)
+    .map((one) => one.opponent);
+  return scene.agents.filter((agent) => ids.includes(agent.id));
 }
 
 function attackersOf(scene) {
-  return scene.turns?.length ? "whose turn it is" : scene.opponent.id;
+  if (!scene.turns?.length) return scene.opponent.id;
+  const together = scene.turns.every((one) => one.begin === scene.turns[0].begin);
+  return together ? scene.turns.map((one) => one.opponent).join(", ") : "whose turn it is";
 }
 
 /** The step at a time after the start. */
