@@ -54,7 +54,7 @@ types: $(READY)  ## mypy --strict on the package
 	$(VENV)/bin/mypy
 
 protos: $(READY)  ## regenerate the protobuf code
-	$(PY) -m grpc_tools.protoc -I. --python_out=. --pyi_out=. deepmf_sumo/readers/protos/scenario.proto
+	$(PY) -m grpc_tools.protoc -I. --python_out=. --pyi_out=. deepmf_sumo/scene/readers/protos/scenario.proto
 
 nets: $(READY)  ## rebuild the networks of sumo_nets/ from their sources
 	$(PY) sumo_nets/build.py

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepmf_sumo.api import attack, read_scenes, run
-    from deepmf_sumo.datatypes import Plan
+    from deepmf_sumo.deepmf.networks.weights import load as load_predictors
     from deepmf_sumo.gym import AttackEnv
     from deepmf_sumo.live.attacker import Attacker
-    from deepmf_sumo.predictors.weights import load as load_predictors
     from deepmf_sumo.results.reader import Results
+    from deepmf_sumo.scene import Plan
 
 __version__ = "0.2.0"
 __all__ = [
@@ -39,10 +39,10 @@ __all__ = [
 _PLACES = {
     "AttackEnv": ("gym", "AttackEnv"),
     "Attacker": ("live.attacker", "Attacker"),
-    "Plan": ("datatypes", "Plan"),
+    "Plan": ("scene", "Plan"),
     "Results": ("results.reader", "Results"),
     "attack": ("api", "attack"),
-    "load_predictors": ("predictors.weights", "load"),
+    "load_predictors": ("deepmf.networks.weights", "load"),
     "read_scenes": ("api", "read_scenes"),
     "run": ("api", "run"),
 }

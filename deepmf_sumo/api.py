@@ -5,15 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from deepmf_sumo import moments as moments_module
-from deepmf_sumo import plans, readers, spec
-from deepmf_sumo.datatypes import Scene
+from deepmf_sumo import spec
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.readers import Refusal
 from deepmf_sumo.report import benchmark, picture
 from deepmf_sumo.results.reader import Results
-from deepmf_sumo.sweep import batch
-from deepmf_sumo.sweep.limits import MEMORY_MB, TIMEOUT_S
+from deepmf_sumo.scene import Scene, readers
+from deepmf_sumo.scene.readers import Refusal
+from deepmf_sumo.study import moments as moments_module
+from deepmf_sumo.study import plans
+from deepmf_sumo.study.sweep import batch
+from deepmf_sumo.study.sweep.limits import MEMORY_MB, TIMEOUT_S
 
 
 def run(

@@ -22,18 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import spec as specs
-from deepmf_sumo import tasks
-from deepmf_sumo.datatypes import Attack, Case, Command, Floats, Rollout, View
-from deepmf_sumo.datatypes.scene import HISTORY_STEPS
 from deepmf_sumo.errors import PluginError, UsageError
 from deepmf_sumo.files import cache_folder
-from deepmf_sumo.geometry import frames, polylines
-from deepmf_sumo.geometry.ground import off_level
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
-from deepmf_sumo.spec import Spec, profiles
-from deepmf_sumo.sweep import episode
+from deepmf_sumo.scene import Attack, Case, Command, Floats, Rollout, View
+from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.ground import off_level
+from deepmf_sumo.scene.scene import HISTORY_STEPS
+from deepmf_sumo.spec import Spec, profiles, tasks
+from deepmf_sumo.study.sweep import episode
 
 try:
     _gymnasium: Any = importlib.import_module("gymnasium")
@@ -196,7 +195,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
     """Episodes of a spec, one after another over its scenes.
 
     The action is an acceleration along the route, (1) in m/s2 within [-8, 4], or any
-    `datatypes.Command` of a planner. The spec's planner does not drive; SUMO's model has its
+    `scene.Command` of a planner. The spec's planner does not drive; SUMO's model has its
     parameters when a command leaves the AV to SUMO.
 
     The observation is in the AV's frame, see `gym.Observer`. ``info`` has ``run_id`` and ``step``,

@@ -1,4 +1,4 @@
-"""Plug-ins: a module in the folder of its kind, or a class of an installed package.
+"""Plug-ins: a module in a folder of its kind, or a class of an installed package.
 
 A plug-in module has ``Settings`` (a `plugins.Settings` subclass) and ``build(settings, ...)``. The
 folder's listing is the registry. An exporter has ``write(run, path, settings)`` in place of
@@ -18,8 +18,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from deepmf_sumo.errors import PluginError, nearest
 
 Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exporters"]
-_PLACES: Final[dict[str, str]] = {"metrics": "deepmf_sumo.judge.metrics"}
-"""Packages of the kinds that are not on top."""
+_ROOMS: Final[dict[Kind, tuple[str, ...]]] = {
+    "readers": ("scene.readers",),
+    "planners": ("planners",),
+    "policies": ("attacks.policies",),
+    "adversaries": ("attacks", "baselines"),
+    "metrics": ("judge.metrics",),
+    "exporters": ("exporters",),
+}
+"""Folders of the package that contain the plug-ins of a kind."""
 
 
 class Settings(BaseModel):
@@ -46,16 +53,19 @@ def module_of(kind: Kind, name: str) -> str | None:
 
 
 @functools.cache
-def _own(kind: Kind) -> tuple[str, ...]:
-    """Names of this package's plug-ins; cached, because folders are slow to list."""
-    package = importlib.import_module(_PLACES.get(kind, f"deepmf_sumo.{kind}"))
-    if kind == "metrics":
-        return tuple(package.own())
-    return tuple(
-        module.name
-        for module in pkgutil.iter_modules(package.__path__)
-        if module.name != "base" and not module.name.startswith("_") and not module.ispkg
-    )
+def _own(kind: Kind) -> dict[str, str]:
+    """Modules of this package's plug-ins by name; cached, because folders are slow to list."""
+    found: dict[str, str] = {}
+    for room in _ROOMS[kind]:
+        package = importlib.import_module(f"deepmf_sumo.{room}")
+        if kind == "metrics":
+            return dict.fromkeys(package.own(), package.__name__)
+        found |= {
+            module.name: f"{package.__name__}.{module.name}"
+            for module in pkgutil.iter_modules(package.__path__)
+            if module.name != "base" and not module.name.startswith("_") and not module.ispkg
+        }
+    return found
 
 
 def load(kind: Kind, name: str) -> Any:
@@ -73,9 +83,8 @@ def load(kind: Kind, name: str) -> Any:
         raise PluginError(
             f"No plug-in '{name}' in {kind}.{nearest(name, known)} Known: {', '.join(known)}."
         )
-    if kind == "metrics":
-        return importlib.import_module(_PLACES[kind]).own()[name]
-    return importlib.import_module(f"deepmf_sumo.{kind}.{name}")
+    module = importlib.import_module(_own(kind)[name])
+    return module.own()[name] if kind == "metrics" else module
 
 
 def settings(kind: Kind, name: str, values: dict[str, Any], *, texts: bool = False) -> Any:

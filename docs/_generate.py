@@ -129,8 +129,8 @@ def settings(kind: str) -> str:
     """All plug-ins of a kind: what each is, and its settings."""
     parts = []
     for name in plugins.names(kind):  # type: ignore[arg-type]
-        place = f"{kind}.{name}"
-        module = importlib.import_module(f"deepmf_sumo.{place}")
+        module = plugins.load(kind, name)  # type: ignore[arg-type]
+        place = module.__name__.removeprefix("deepmf_sumo.")
         first = (module.__doc__ or "").split("\n\n")[0]
         keys = module.Settings.model_fields
         parts += [f"### `{name}`", first, fields(f"{place}:Settings") if keys else "No settings."]

@@ -25,11 +25,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, Floats, VehicleModel, View
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.gym import AttackEnv
 from deepmf_sumo.plugins import Settings as PluginSettings
 from deepmf_sumo.results.reader import Results
+from deepmf_sumo.scene import Case, Command, Floats, VehicleModel, View
+from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.spec import Spec
 
 ROOT = Path(__file__).resolve().parents[1]

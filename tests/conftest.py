@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.study.sweep import workers
 
 from tests.support import (
     continuity,

@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo import spec, tasks
-from deepmf_sumo.datatypes import Command, Driver, Lane, RoadMap
+from deepmf_sumo import spec
 from deepmf_sumo.errors import PlannerError, PluginError, UsageError
 from deepmf_sumo.judge.metrics import NotMeasurable
-from deepmf_sumo.simulation.sumo_api import sumo_seed
-from deepmf_sumo.sweep import episode
+from deepmf_sumo.scene import Command, Driver, Lane, RoadMap
+from deepmf_sumo.spec import tasks
+from deepmf_sumo.study.sweep import episode
+from deepmf_sumo.sumo.simulation.sumo_api import sumo_seed
 
 from tests.support import tiny_network
 from tests.support.predictor_doubles import view_of

@@ -6,22 +6,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.adversaries import _open_loop as open_loop
-from deepmf_sumo.adversaries import diffscene
-from deepmf_sumo.adversaries._episodes import Motion
-from deepmf_sumo.datatypes import DT_S, Lane, Plan, RoadMap, View
+from deepmf_sumo.attacks._episodes import Motion
+from deepmf_sumo.baselines import _open_loop as open_loop
+from deepmf_sumo.baselines import diffscene
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
+from deepmf_sumo.deepmf.networks.lanes import road_index
+from deepmf_sumo.deepmf.networks.opponent import _pairs, surroundings
+from deepmf_sumo.deepmf.networks.routes import lane_routes, on_lanes, passes_over
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.geometry import road as roads
 from deepmf_sumo.judge.avoidability.av_path import keeps_lane, route_ahead
-from deepmf_sumo.network import matching
-from deepmf_sumo.predictors.lanes import road_index
-from deepmf_sumo.predictors.opponent import _pairs, surroundings
-from deepmf_sumo.predictors.routes import lane_routes, on_lanes, passes_over
+from deepmf_sumo.scene import DT_S, Lane, Plan, RoadMap, View
+from deepmf_sumo.scene.geometry import road as roads
+from deepmf_sumo.sumo.network import matching
 from deepmf_sumo.training.evaluation import forecasts
 
 from tests.support.predictor_doubles import straight_tracks

@@ -13,11 +13,11 @@ import pytest
 import yaml
 
 from deepmf_sumo import spec
-from deepmf_sumo.datatypes import Driver
 from deepmf_sumo.report.page import document
 from deepmf_sumo.results.exports import Format
 from deepmf_sumo.results.reader import Results
-from deepmf_sumo.sweep import batch
+from deepmf_sumo.scene import Driver
+from deepmf_sumo.study.sweep import batch
 
 HIGHWAY = Path(__file__).resolve().parents[1] / "sumo_nets" / "highway" / "highway.sumocfg"
 AV, LEFT, RIGHT = "flow_through.16", "flow_through.17", "flow_through.18"

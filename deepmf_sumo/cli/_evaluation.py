@@ -7,7 +7,7 @@ from typing import Final
 from rich.table import Table
 
 from deepmf_sumo.cli._screen import escape, wide
-from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.training.evaluation import Evaluation, Figure
 
 _SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 8.0)

@@ -10,15 +10,15 @@ import click
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.moments import Found, Request
     from deepmf_sumo.results.result import Result
-    from deepmf_sumo.simulation.sumo_config import Configuration
+    from deepmf_sumo.study.moments import Found, Request
+    from deepmf_sumo.sumo.simulation.sumo_config import Configuration
 
 
 def announce_moments(request: Request, found: Found) -> None:
     """A line on what was found, on standard error; one on standard output if it was nothing."""
-    from deepmf_sumo.datatypes import DT_S
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.scene import DT_S
 
     configuration, wish = request.configuration, request.wish
     name = configuration.file.name
@@ -50,8 +50,8 @@ def announce_moments(request: Request, found: Found) -> None:
 
 def _drawn(count: int, pool: int) -> str:
     """How many moments are spread, and how many are drawn by what those find."""
-    from deepmf_sumo.moments.promising import spread
     from deepmf_sumo.report.table import counted
+    from deepmf_sumo.study.moments.promising import spread
 
     first, attacked = spread(pool, count), min(count, pool)
     return (
@@ -66,7 +66,7 @@ def no_conflict(results: Sequence[Result], looked: Sequence[tuple[Request, Found
     from deepmf_sumo.results import statistics
     from deepmf_sumo.results.quantities import metric
     from deepmf_sumo.results.result import attacked
-    from deepmf_sumo.risk.table import CONFLICT_S
+    from deepmf_sumo.results.risk.table import CONFLICT_S
 
     done = [one for one in results if one["status"] == "ok" and attacked(one)]
     least = [metric(one, "ttc_min") for one in done]
@@ -98,9 +98,9 @@ def _busiest(looked: Sequence[tuple[Request, Found]]) -> Iterator[str]:
 
 def _of_the_network(configuration: Configuration) -> Iterator[str]:
     """What is wrong with a network so that attacks on it say little."""
-    from deepmf_sumo.network.sumo_net import read_once
     from deepmf_sumo.report.table import counted
-    from deepmf_sumo.screening import overlaps
+    from deepmf_sumo.roadcheck.screening import overlaps
+    from deepmf_sumo.sumo.network.sumo_net import read_once
 
     if count := len(list(overlaps(read_once(configuration.net)))):
         where = counted(count, "pair") + " of edges"

@@ -12,11 +12,11 @@ from deepmf_sumo.cli._screen import escape, filled, plain_grid, wide
 
 if TYPE_CHECKING:
     from deepmf_sumo.report.risk import Written
-    from deepmf_sumo.risk.attacks import Network
-    from deepmf_sumo.risk.comparison import Compared
-    from deepmf_sumo.risk.coverage import Cell
-    from deepmf_sumo.risk.kinds import TypeRow
-    from deepmf_sumo.risk.table import Row as PlaceRow
+    from deepmf_sumo.results.risk.attacks import Network
+    from deepmf_sumo.results.risk.comparison import Compared
+    from deepmf_sumo.results.risk.coverage import Cell
+    from deepmf_sumo.results.risk.kinds import TypeRow
+    from deepmf_sumo.results.risk.table import Row as PlaceRow
 
 _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "findings", "least TTC",
@@ -31,8 +31,8 @@ _MOST: Final = 30
 
 def show_risk(written: Sequence[Written], top: int) -> None:
     """One table for each network: movements and edges, by the lower end of the risk of a hit."""
-    from deepmf_sumo.risk.kinds import by_type
-    from deepmf_sumo.risk.table import worst
+    from deepmf_sumo.results.risk.kinds import by_type
+    from deepmf_sumo.results.risk.table import worst
 
     console = wide()
     for one in written:
@@ -50,7 +50,7 @@ def show_risk(written: Sequence[Written], top: int) -> None:
 
 def _overall(network: Network) -> str:
     """The rate of hits over all moments that the attacked ones were drawn from, if they were."""
-    from deepmf_sumo.risk.table import rate
+    from deepmf_sumo.results.risk.table import rate
 
     if all(one.weight == 1.0 for one in network.attacks):
         return ""
@@ -65,7 +65,7 @@ def _overall(network: Network) -> str:
 def show_coverage(found: Sequence[tuple[Network, Sequence[Cell]]]) -> None:
     """The four tables of evidence of each network."""
     from deepmf_sumo.report import evidence
-    from deepmf_sumo.risk.coverage import TABLES
+    from deepmf_sumo.results.risk.coverage import TABLES
 
     console = wide()
     for network, cells in found:

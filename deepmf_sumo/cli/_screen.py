@@ -23,13 +23,13 @@ from deepmf_sumo import tables
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.gate.verdict import Verdict
     from deepmf_sumo.live.attacker import Attached
     from deepmf_sumo.report.comparison import Line, SideBySide
     from deepmf_sumo.report.tables.layouts import Row as MethodRow
     from deepmf_sumo.results.findings import Count
+    from deepmf_sumo.results.gate.verdict import Verdict
     from deepmf_sumo.results.result import Result
-    from deepmf_sumo.sweep.batch import Progress
+    from deepmf_sumo.study.sweep.batch import Progress
 
 
 def escape(text: str) -> str:
@@ -314,7 +314,13 @@ def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
 
 def show_verdict(verdict: Verdict) -> None:
     """The tables of the Markdown summary, and a sentence for each finding."""
-    from deepmf_sumo.gate.verdict import LONGEST_LIST, comparisons, counts, own_hits, thresholds
+    from deepmf_sumo.results.gate.verdict import (
+        LONGEST_LIST,
+        comparisons,
+        counts,
+        own_hits,
+        thresholds,
+    )
 
     console = wide()
     console.print(escape(counts(verdict)), soft_wrap=True)

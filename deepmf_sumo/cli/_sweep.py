@@ -12,13 +12,13 @@ import click
 import deepmf_sumo
 from deepmf_sumo.cli._parameters import FiniteRange
 from deepmf_sumo.errors import UsageError, exit_code
-from deepmf_sumo.sweep.limits import MEMORY_MB, TIMEOUT_S
+from deepmf_sumo.study.sweep.limits import MEMORY_MB, TIMEOUT_S
 
 if TYPE_CHECKING:
     from deepmf_sumo.errors import Ending
     from deepmf_sumo.results.result import Result
-    from deepmf_sumo.sweep.batch import Options
-    from deepmf_sumo.sweep.episode import Draw
+    from deepmf_sumo.study.sweep.batch import Options
+    from deepmf_sumo.study.sweep.episode import Draw
 
 _POSITIVE: Final = FiniteRange(min=0, min_open=True)
 _GIVEN: Final = click.Path(exists=True, path_type=Path)
@@ -30,7 +30,7 @@ class Sweep:
 
     Attributes:
         options: of the runs.
-        thresholds: a file, see `gate.load`. baseline: earlier results.
+        thresholds: a file, see `results.gate.load`. baseline: earlier results.
     """
 
     options: "Options"
@@ -47,8 +47,8 @@ class Sweep:
         """
         from deepmf_sumo.results import folder
         from deepmf_sumo.results.exports import Format
-        from deepmf_sumo.sweep import batch
-        from deepmf_sumo.sweep.shards import Shard
+        from deepmf_sumo.study.sweep import batch
+        from deepmf_sumo.study.sweep.shards import Shard
 
         sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
         predict_on(values.pop("device"))
@@ -108,11 +108,11 @@ def predict_on(device: str | None) -> None:
 
     Raises WeightsError for cuda without such a device.
     """
-    from deepmf_sumo.predictors import weights
+    from deepmf_sumo.deepmf.networks import weights
 
     if device == "cuda":
         weights.need("torch", "--device cuda")
-        from deepmf_sumo.predictors import torch_networks
+        from deepmf_sumo.deepmf.networks import torch_networks
 
         torch_networks.device(device)
     if device is not None:
@@ -229,8 +229,8 @@ def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
     nothing else: what is missing, wrong or could not be exported counts beside the verdict.
     """
     from deepmf_sumo.results import folder
-    from deepmf_sumo.sweep import batch
-    from deepmf_sumo.sweep.workers import watched
+    from deepmf_sumo.study.sweep import batch
+    from deepmf_sumo.study.sweep.workers import watched
 
     if not watched():
         click.echo("deepmf-sumo: this system does not show memory: no --memory limit", err=True)
@@ -275,9 +275,9 @@ def map_risk(out: Path) -> None:
 
     The runs are complete either way, so that is not an error.
     """
-    from deepmf_sumo import risk
     from deepmf_sumo.errors import DeepmfError
     from deepmf_sumo.report import risk as files
+    from deepmf_sumo.results import risk
     from deepmf_sumo.results.folder import RISK, forget_map
 
     forget_map(out / RISK)
@@ -292,7 +292,7 @@ def map_risk(out: Path) -> None:
 
 def check(sweep: Sweep) -> None:
     """Raise UsageError for files that no result could be judged by."""
-    from deepmf_sumo import gate
+    from deepmf_sumo.results import gate
 
     named = gate.load(sweep.thresholds).baseline.results
     place = sweep.baseline or (Path(named) if named else None)
@@ -307,9 +307,9 @@ def check(sweep: Sweep) -> None:
 
 def judge(sweep: Sweep) -> "Ending":
     """Judge the result folder, show the verdict, and write it to junit.xml where asked for."""
-    from deepmf_sumo import gate
     from deepmf_sumo.cli._screen import show_verdict
-    from deepmf_sumo.gate.verdict import write_junit
+    from deepmf_sumo.results import gate
+    from deepmf_sumo.results.gate.verdict import write_junit
 
     verdict = gate.check(sweep.options.out, gate.load(sweep.thresholds), sweep.baseline)
     show_verdict(verdict)

@@ -11,8 +11,8 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.moments import Found, Request
     from deepmf_sumo.spec.document import Document
+    from deepmf_sumo.study.moments import Found, Request
 
 
 @click.command(
@@ -148,9 +148,9 @@ def attacked(
     **wanted: Any,
 ) -> int:
     """Attack as the command does with these values of its options; returns the exit code."""
-    from deepmf_sumo import moments, plans
     from deepmf_sumo.cli._moments import announce_moments, no_conflict
     from deepmf_sumo.cli._screen import progress, tell_causes
+    from deepmf_sumo.study import moments, plans
 
     sweep = Sweep.begin(wanted, pictures=True)
     documents = _documents(sumo_options, configs, sets, wanted, all_conflicts)
@@ -180,7 +180,7 @@ def _documents(
     all_conflicts: bool,
 ) -> "list[Document]":
     """The specs that the options are short for."""
-    from deepmf_sumo import moments
+    from deepmf_sumo.study import moments
 
     if wanted["tries"] is not None:
         sets = (f"adversary.tries={wanted['tries']}", *sets)
@@ -206,7 +206,8 @@ _MOMENTS = (
 def _save(file: Path, documents: "list[Document]") -> None:
     import yaml
 
-    from deepmf_sumo import files, moments
+    from deepmf_sumo import files
+    from deepmf_sumo.study import moments
 
     if len(documents) > 1:
         raise UsageError("--save-spec goes with one configuration: a spec has one network.")

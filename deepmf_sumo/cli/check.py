@@ -8,8 +8,8 @@ import click
 from deepmf_sumo.cli._parameters import format_option
 
 if TYPE_CHECKING:
-    from deepmf_sumo.gate.same_attacks import SameAttacks
-    from deepmf_sumo.gate.verdict import Verdict
+    from deepmf_sumo.results.gate import SameAttacks
+    from deepmf_sumo.results.gate.verdict import Verdict
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -59,9 +59,10 @@ def command(
     the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, the attack is not
     that of the baseline, or the runs are too few to tell whether something is worse.
     """
-    from deepmf_sumo import gate
     from deepmf_sumo.cli import _screen as screen
-    from deepmf_sumo.gate import verdict as written
+    from deepmf_sumo.results import gate
+    from deepmf_sumo.results.gate import verdict as written
+    from deepmf_sumo.study.same_attacks import repeated
 
     if not (thresholds or baseline or write_baseline):
         raise click.UsageError("Missing --thresholds or --baseline: nothing to judge by.")
@@ -71,7 +72,7 @@ def command(
         assert same_attacks is not None
         with screen.progress() as report:
             level = wanted.baseline.confidence
-            return gate.repeated(new, old, same_attacks, level, jobs, report)
+            return repeated(new, old, same_attacks, level, jobs, report)
 
     repeats = repeat if same_attacks else None
     verdict = gate.check(out, wanted, baseline, write_baseline, repeats)
@@ -90,8 +91,8 @@ def command(
 
 def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
     """One row for each threshold and each comparison with the baseline."""
-    from deepmf_sumo.gate.thresholds import ALL
-    from deepmf_sumo.gate.verdict import said
+    from deepmf_sumo.results.gate.thresholds import ALL
+    from deepmf_sumo.results.gate.verdict import said
 
     found: list[dict[str, Any]] = []
     for one in verdict.judgements:

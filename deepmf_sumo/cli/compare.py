@@ -36,7 +36,7 @@ def command(
     from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.risk import comparison as files
-    from deepmf_sumo.risk import comparison
+    from deepmf_sumo.results.risk import comparison
 
     compared = comparison.compare(a, b, quantities or comparison.COMPARED, confidence)
     names = str(a), str(b)

@@ -11,9 +11,9 @@ from deepmf_sumo.errors import OutputError
 
 if TYPE_CHECKING:
     from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
-    from deepmf_sumo.recording.conflicts import Observation
-    from deepmf_sumo.risk.traffic_conflicts import PlaceConflicts
-    from deepmf_sumo.simulation.motion_survey import Survey
+    from deepmf_sumo.roadcheck.conflict_places import PlaceConflicts
+    from deepmf_sumo.roadcheck.conflicts import Observation
+    from deepmf_sumo.roadcheck.motion_survey import Survey
 
 LIST, PLACES, ABOUT = "conflicts.csv", "places.csv", "conflicts.json"
 _TOP: Final = 10
@@ -79,12 +79,12 @@ def command(
     from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
-    from deepmf_sumo.network.sumo_road import road_once
-    from deepmf_sumo.recording import conflicts as recording
-    from deepmf_sumo.risk import places
-    from deepmf_sumo.risk import traffic_conflicts as conflicts
-    from deepmf_sumo.simulation.motion_survey import Survey
-    from deepmf_sumo.simulation.sumo_config import read_configuration
+    from deepmf_sumo.results.risk import places
+    from deepmf_sumo.roadcheck import conflict_places as conflicts
+    from deepmf_sumo.roadcheck import conflicts as recording
+    from deepmf_sumo.roadcheck.motion_survey import Survey
+    from deepmf_sumo.sumo.network.sumo_road import road_once
+    from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
     named = (recording.TRAJECTORIES, recording.ROAD_USERS) if trj else ()
     _refuse(out, (LIST, PLACES, ABOUT, *named), overwrite)
@@ -148,7 +148,7 @@ def _write(
     beside: bool,
 ) -> None:
     from deepmf_sumo import files, tables
-    from deepmf_sumo.risk.traffic_conflicts import LISTED, place_columns
+    from deepmf_sumo.roadcheck.conflict_places import LISTED, place_columns
 
     with files.writing(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -176,7 +176,7 @@ def _show(
     """Counts, the places with most conflicts, and where the tables are."""
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report.table import counted
-    from deepmf_sumo.risk.traffic_conflicts import counts
+    from deepmf_sumo.roadcheck.conflict_places import counts
 
     console = screen.wide()
     types = ", ".join(f"{count} {kind}" for kind, count in counts(rows).items())

@@ -13,11 +13,11 @@ from deepmf_sumo.cli._parameters import FiniteRange, Group, format_option
 from deepmf_sumo.errors import ConversionError, ReaderError, SimulationError, UsageError
 
 if TYPE_CHECKING:
-    from deepmf_sumo.network.batch import Row
+    from deepmf_sumo.training.convert_all import Row
 
 _DATA = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 KINDS = ("grid", "spider", "random", "junctions", "motorway", "mix")
-"""As in `network.generated`, which is not imported for help."""
+"""As in `training.generated`, which is not imported for help."""
 
 
 @click.group(name="data", cls=Group, short_help="List, convert and record scenes.")
@@ -39,9 +39,9 @@ def list_scenes(data: tuple[Path, ...], form: str, csv_file: Path | None) -> Non
     files of deepmf-sumo; the format is found by content. A scene is `ok`, `repaired` (with what was
     repaired), or `refused` (with the reason). Exit code 3 if no scene can be used.
     """
-    from deepmf_sumo import readers
     from deepmf_sumo.cli._screen import emit, wide
     from deepmf_sumo.report import scene_table
+    from deepmf_sumo.scene import readers
 
     console, rows = wide(_WIDTH), []
     counts: Counter[str] = Counter()
@@ -119,8 +119,8 @@ def convert(data: tuple[Path, ...], out: Path, jobs: int) -> None:
     which of the scene's). OUT/convert.csv lists what was kept, what was lost and how far the lanes
     are off. Exit code 3 if a scene could not be converted.
     """
-    from deepmf_sumo import readers
-    from deepmf_sumo.network.batch import TABLE, convert_all
+    from deepmf_sumo.scene import readers
+    from deepmf_sumo.training.convert_all import TABLE, convert_all
 
     rows: list[Row] = []
     for row in convert_all(readers.scenes(data), out, jobs):
@@ -199,7 +199,7 @@ def record(
     """
     if not configs and not kind:
         raise UsageError("There is nothing to record: give a .sumocfg, or --generate KIND.")
-    from deepmf_sumo.recording.many import Recorded, Wanted, record_all
+    from deepmf_sumo.training.recording.many import Recorded, Wanted, record_all
 
     asked = Wanted(
         configs=configs, kind=kind or "mix", networks=networks if kind else 0, **wanted

@@ -139,7 +139,7 @@ def weights_of_set(name: str) -> Finding:
     """Whether a set of weights is there and fits the networks; which others there are."""
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
-        "from deepmf_sumo.predictors import weights\n"
+        "from deepmf_sumo.deepmf.networks import weights\n"
         f"try: folder = weights.load({name!r}).folder; lacking = weights.unchecked(folder)\n"
         "except DeepmfError as error: sys.exit(' '.join(str(error).split()))\n"
         "print(folder, *([f'({len(lacking)} cards without a digest of their tensors)']"
@@ -259,7 +259,7 @@ def networks() -> Finding:
     """Whether the networks can be computed, and by what."""
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
-        "from deepmf_sumo.predictors.weights import runtime_name\n"
+        "from deepmf_sumo.deepmf.networks.weights import runtime_name\n"
         "try: name = runtime_name()\n"
         "except DeepmfError as error: sys.exit(str(error))\n"
         "if name == 'onnx':\n"

@@ -86,8 +86,8 @@ def command(
 
 def _write_map(folders: tuple[Path, ...], out: Path | None, forms: "tuple[Form, ...]") -> None:
     """Write what `risk` writes, and name the files of the format."""
-    from deepmf_sumo import risk
     from deepmf_sumo.report.risk import folder as files
+    from deepmf_sumo.results import risk
 
     title = ", ".join(one.resolve().name for one in folders)
     for one in files.write(out or folders[0] / "risk", risk.read(folders), title, forms):

@@ -25,14 +25,14 @@ def command(
 
     They are those of one command, run or attack.
     """
-    from deepmf_sumo import plans
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.cli._sweep import map_risk
     from deepmf_sumo.report import benchmark
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.results.folder import summary
-    from deepmf_sumo.sweep import batch
-    from deepmf_sumo.sweep import shards as parts
+    from deepmf_sumo.study import plans
+    from deepmf_sumo.study.sweep import batch
+    from deepmf_sumo.study.sweep import shards as parts
 
     if parts.of_benchmark(shards[0]):
         results, missing = plans.merge(out, shards, overwrite=overwrite)

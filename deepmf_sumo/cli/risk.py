@@ -33,10 +33,10 @@ def command(
     collision, delta-v. Written as CSV, SUMO edge data, polygons for sumo-gui, and a page; with
     --gis as GeoJSON or GeoPackage. OUT may contain result folders, e.g. one for each seed.
     """
-    from deepmf_sumo import risk
     from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import risk as files
+    from deepmf_sumo.results import risk
 
     place = out or folders[0] / "risk"
     title = ", ".join(folder.resolve().name for folder in folders)

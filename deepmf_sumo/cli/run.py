@@ -77,9 +77,9 @@ def command(
     figures; it is run by itself. `paper` is the plan of the paper's tables:
     deepmf-sumo run paper --set source.recording=DIR.
     """
-    from deepmf_sumo import plans
     from deepmf_sumo.cli._moments import announce_moments
     from deepmf_sumo.cli._screen import progress
+    from deepmf_sumo.study import plans
 
     _check_seeds(seed, seeds, sets)
     if any(map(plans.is_plan, files)):
@@ -133,10 +133,10 @@ def run_plan(
     file: Path, wanted: dict[str, Any], *, sets: Sequence[str], page: bool = False, **more: Any
 ) -> int:
     """Run a plan, write its tables and figures, show the table; returns the exit code."""
-    from deepmf_sumo import plans
     from deepmf_sumo.cli._moments import announce_moments
     from deepmf_sumo.cli._screen import progress, show_study
     from deepmf_sumo.report import benchmark
+    from deepmf_sumo.study import plans
 
     without, figures = wanted.pop("without"), wanted.pop("figures")
     sweep = Sweep.begin(wanted, pictures=False, **more)

@@ -11,7 +11,7 @@ from deepmf_sumo.errors import EXIT_CODES, OutputError
 from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
-    from deepmf_sumo.screening import Guideline, Screened, Severity
+    from deepmf_sumo.roadcheck.screening import Guideline, Screened, Severity
 
 FILE: Final = "screen.csv"
 _TOP: Final = 30
@@ -60,8 +60,8 @@ def command(
     Exit codes: 0 NET was screened; 1 with --fail-on: there are findings of at
     least that severity; 2 the command or NET is wrong.
     """
-    from deepmf_sumo import screening
     from deepmf_sumo.cli import _screen as terminal
+    from deepmf_sumo.roadcheck import screening
 
     _refuse(out, overwrite)
     book = screening.GUIDELINES[guideline]

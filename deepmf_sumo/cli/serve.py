@@ -91,7 +91,7 @@ def command(
 def _check_step(config: Path, options: Sequence[str]) -> None:
     """Raise what is wrong with the step length before a client comes."""
     from deepmf_sumo.live.session import parts_of_a_step
-    from deepmf_sumo.simulation.sumo_config import read_configuration
+    from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
     given_s = _step_length(options)
     if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:

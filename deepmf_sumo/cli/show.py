@@ -108,10 +108,10 @@ def _show_failures(folders: tuple[Path, ...], form: str) -> None:
 
 
 def _show_coverage(folders: tuple[Path, ...], form: str) -> None:
-    from deepmf_sumo import risk
     from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import evidence
+    from deepmf_sumo.results import risk
 
     found = [(one, risk.coverage(one)) for one in risk.read(folders)]
     if form == "table":

@@ -33,7 +33,7 @@ def command(folder: Path, run_id: str | None, file: Path, simulations: int) -> N
     import os
     import sys
 
-    from deepmf_sumo import shrink
+    from deepmf_sumo.study import shrink
 
     sys.path.append(os.getcwd())  # noqa: PTH109 - planners under test lie in the working folder
     shrink.check(file)

@@ -132,7 +132,7 @@ def _write_graphs(name: str | Path) -> None:
         given = context.get_parameter_source(one.name or "") is not ParameterSource.DEFAULT
         if given and one.name not in own:
             raise click.UsageError(f"{one.opts[0]} is for training; onnx takes --name and --out.")
-    from deepmf_sumo.predictors.weights import need
+    from deepmf_sumo.deepmf.networks.weights import need
 
     for package in ("torch", "onnx", "onnxscript", "onnxruntime"):
         need(package, "Writing graphs")

@@ -11,7 +11,7 @@ from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
 from deepmf_sumo.errors import EXIT_CODES, UsageError, worst
 
 if TYPE_CHECKING:
-    from deepmf_sumo.countermeasures import Built
+    from deepmf_sumo.roadcheck.countermeasures import Built
 
 _OTHERS: Final = {"configs", "of", "mapped", "file", "thresholds", "baseline", "shard", "formats"}
 """Options of `attack` that say nothing about two networks."""
@@ -54,7 +54,7 @@ def command(
     moments that suit it. Writes OUT/before and OUT/after with results, the changed network, and
     OUT/patch, which netconvert and netedit take. The other options are those of attack.
     """
-    from deepmf_sumo import countermeasures
+    from deepmf_sumo.roadcheck import countermeasures
 
     out: Path = wanted.pop("out")
     if count == 1:
@@ -115,7 +115,7 @@ def _attack(
 def _compare(out: Path) -> None:
     from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.report.risk import comparison as files
-    from deepmf_sumo.risk import comparison
+    from deepmf_sumo.results.risk import comparison
 
     before, after = (out / side for side in SIDES)
     compared = comparison.compare(before, after, changed_on_purpose=True)

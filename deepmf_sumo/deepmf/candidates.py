@@ -25,14 +25,14 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Forecast, Futures, Ints
+from deepmf_sumo.deepmf.networks.base import Prediction
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
 from deepmf_sumo.deepmf.tracking import Tracked
-from deepmf_sumo.geometry import boxes, frames, impact, road
 from deepmf_sumo.judge.ladder import MOMENT_S
-from deepmf_sumo.predictors.base import Prediction
+from deepmf_sumo.scene import DT_S, Bools, Floats, Forecast, Futures, Ints
+from deepmf_sumo.scene.geometry import boxes, frames, impact, road
 
 NO_SECTOR: Final = -1
 """Sector of a pair that does not collide."""
@@ -279,7 +279,7 @@ def impact_sectors(
 ) -> Ints:
     """(N1, N2) sector of the AV, 0..7, in which each pair first overlaps, or `NO_SECTOR`.
 
-    Sectors are those of contacts in the simulation (`geometry.impact`).
+    Sectors are those of contacts in the simulation (`scene.geometry.impact`).
     """
     found = np.full(collision_step.shape, NO_SECTOR)
     row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])

@@ -12,7 +12,6 @@ from typing import ClassVar, Final, Literal, Protocol
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.deepmf import scoring
 from deepmf_sumo.deepmf.candidates import (
     Candidates,
@@ -26,11 +25,12 @@ from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.judge.avoidability.av_path import State
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
 from deepmf_sumo.judge.avoidability.grading import Past, avoidable
+from deepmf_sumo.scene import AgentId, Bools, Floats, Forecast, Futures, Ints, View
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.ground import clear
 
 Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other

@@ -19,7 +19,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.deepmf.candidates import Candidates
+from deepmf_sumo.deepmf.situation import Situation
+from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
     Bools,
@@ -30,9 +32,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
     View,
 )
-from deepmf_sumo.deepmf.candidates import Candidates
-from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.scene.geometry import frames
 
 _BANDWIDTH_M: Final = 1.5
 _COMPARED_STEPS: Final = 30

@@ -6,13 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, Lane, RoadMap
 from deepmf_sumo.deepmf.candidates import Candidates
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start
-from deepmf_sumo.geometry import boxes, polylines
-from deepmf_sumo.geometry.ground import clear, ground_of, on_nearest_level
-from deepmf_sumo.geometry.lane_map import WIDTH_M, LaneMap, per_road, reach_m
+from deepmf_sumo.scene import DT_S, Bools, Floats, Ints, Lane, RoadMap
+from deepmf_sumo.scene.geometry import boxes, polylines
+from deepmf_sumo.scene.geometry.ground import clear, ground_of, on_nearest_level
+from deepmf_sumo.scene.geometry.lane_map import WIDTH_M, LaneMap, per_road, reach_m
 
 EVERY_STEPS: Final = 2
 """Futures are examined every 0.2 s."""

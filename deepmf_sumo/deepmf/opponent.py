@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Floats, OpponentScores, View
+from deepmf_sumo.deepmf.networks.base import OpponentPredictor
+from deepmf_sumo.deepmf.networks.routes import passes_over
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors.base import OpponentPredictor
-from deepmf_sumo.predictors.routes import passes_over
+from deepmf_sumo.scene import AgentId, Floats, OpponentScores, View
 
 SCORED: Final = frozenset({"argmax", "sample", "partner"})
 """Values of ``opponent`` that need the scores of the opponent network."""

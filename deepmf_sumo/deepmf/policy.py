@@ -11,7 +11,23 @@ from typing import Protocol
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.deepmf import candidates, constraints, scoring
+from deepmf_sumo.deepmf.candidates import Candidates, References
+from deepmf_sumo.deepmf.constraints import Constraint, Mask
+from deepmf_sumo.deepmf.experience import Experience, Predicted
+from deepmf_sumo.deepmf.networks.base import (
+    ConditionalPrediction,
+    ConditionalPredictor,
+    MarginalPredictor,
+    OpponentPredictor,
+)
+from deepmf_sumo.deepmf.opponent import choose, highest
+from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
+from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
+from deepmf_sumo.deepmf.settings import Settings
+from deepmf_sumo.deepmf.situation import Situation, Stopwatch
+from deepmf_sumo.deepmf.tracking import track
+from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
     AvDriver,
@@ -21,22 +37,6 @@ from deepmf_sumo.datatypes import (
     Plan,
     PlanReason,
     View,
-)
-from deepmf_sumo.deepmf import candidates, constraints, scoring
-from deepmf_sumo.deepmf.candidates import Candidates, References
-from deepmf_sumo.deepmf.constraints import Constraint, Mask
-from deepmf_sumo.deepmf.experience import Experience, Predicted
-from deepmf_sumo.deepmf.opponent import choose, highest
-from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
-from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
-from deepmf_sumo.deepmf.settings import Settings
-from deepmf_sumo.deepmf.situation import Situation, Stopwatch
-from deepmf_sumo.deepmf.tracking import track
-from deepmf_sumo.predictors.base import (
-    ConditionalPrediction,
-    ConditionalPredictor,
-    MarginalPredictor,
-    OpponentPredictor,
 )
 
 __all__ = ["DeepMF", "Predictors", "Settings", "build"]

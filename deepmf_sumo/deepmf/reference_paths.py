@@ -18,12 +18,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.deepmf.candidates import References, collisions, impact_sectors
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.slow import DIRECTION_MPS
+from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
 
 _PATHS = 12
 _SAME_PATH_M = 0.7  # a mode that ends this close to the path of another one is on that path

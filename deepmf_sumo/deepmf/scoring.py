@@ -20,7 +20,7 @@ from typing import Final, Literal, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Ints
+from deepmf_sumo.scene import FUTURE_STEPS, Bools, Floats, Ints
 
 Rule = Literal["expected", "pair", "likeliest", "drawn"]
 

@@ -11,13 +11,13 @@ from pydantic import (
 )
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import DT_S, AvDriver
+from deepmf_sumo.deepmf.networks.base import MOST_MODES
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.scoring import Balance, Rule
 from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.errors import nearest
-from deepmf_sumo.geometry.impact import SECTORS
-from deepmf_sumo.predictors.base import MOST_MODES
+from deepmf_sumo.scene import DT_S, AvDriver
+from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.spec import VERSIONS
 from deepmf_sumo.spec.profiles import SWITCHES, with_listed
 
@@ -91,7 +91,7 @@ class Settings(plugins.Settings):
         accel_mps2, brake_mps2, lateral_mps2: limits on the opponent's accelerations.
         keep_tail: the rest of the last plan is a candidate too.
         sector: the side of the AV to hit: 0 (front) to 7, counter-clockwise in steps of 45 degrees,
-            or a name of `geometry.impact.SECTORS`. Only pairs that first touch there count;
+            or a name of `scene.geometry.impact.SECTORS`. Only pairs that first touch there count;
             candidates that do so are added. Null: any side.
         aggressiveness: from 0 (the likeliest future, even if it misses) to 1 (the most
             dangerous), in place of ``rule`` and ``likelihood_weight``: see

@@ -6,7 +6,8 @@ from typing import Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
     Bools,
@@ -17,8 +18,7 @@ from deepmf_sumo.datatypes import (
     Rollout,
     View,
 )
-from deepmf_sumo.deepmf.tracking import Limits, Start
-from deepmf_sumo.geometry.ground import Ground, clear, ground_of
+from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

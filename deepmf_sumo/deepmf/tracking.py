@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import DT_S, AgentId, Floats, Ints, View
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.scene import DT_S, AgentId, Floats, Ints, View
+from deepmf_sumo.scene.geometry import frames
 
 Complexes = NDArray[np.complex128]
 

@@ -24,16 +24,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
-    DT_S,
-    FUTURE_STEPS,
-    AgentId,
-    Bools,
-    Floats,
-    Lane,
-    View,
-)
-from deepmf_sumo.datatypes.signals import FORBIDS, HALTS, STOP_FIRST
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.lane_assignment import (
     EVERY_STEPS,
@@ -47,8 +37,18 @@ from deepmf_sumo.deepmf.lane_assignment import (
 )
 from deepmf_sumo.deepmf.reference_paths import OwnPath
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.ground import clear
+from deepmf_sumo.scene import (
+    DT_S,
+    FUTURE_STEPS,
+    AgentId,
+    Bools,
+    Floats,
+    Lane,
+    View,
+)
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.scene.signals import FORBIDS, HALTS, STOP_FIRST
 
 OVER_M: Final = 2.0
 """A front farther than this past a line has crossed it, and did not merely stop late."""

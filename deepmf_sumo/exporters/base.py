@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     ROLLOUT,
     Case,
     Floats,
@@ -19,7 +19,7 @@ from deepmf_sumo.datatypes import (
     Source,
     Tracks,
 )
-from deepmf_sumo.datatypes.scene import AgentKind
+from deepmf_sumo.scene.scene import AgentKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

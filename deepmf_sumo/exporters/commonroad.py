@@ -20,13 +20,13 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Floats, Ints, Lane, RoadMap, Scene
-from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene import Floats, Ints, Lane, RoadMap, Scene
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 
 FILE: Final = "run.xml"
 _TYPES: Final[dict[RoadUserClass, str]] = {

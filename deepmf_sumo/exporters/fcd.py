@@ -17,12 +17,12 @@ import numpy as np
 import shapely
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import AgentId, Bools, Floats, RoadMap, Rollout, Tracks, agent_ids
-from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
-from deepmf_sumo.datatypes.rollout import Role
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.network.sumo_net import read_once
+from deepmf_sumo.scene import AgentId, Bools, Floats, RoadMap, Rollout, Tracks, agent_ids
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.road_users import RoadUserClass, class_of
+from deepmf_sumo.scene.rollout import Role
+from deepmf_sumo.sumo.network.sumo_net import read_once
 
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"

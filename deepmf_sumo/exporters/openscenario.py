@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Bools, Floats, Rollout, Signals, SignalState
-from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
-from deepmf_sumo.datatypes.signals import steady
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.exporters.base import Exportable, known_heights
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.network import sumo_tools
-from deepmf_sumo.network.sumo_road import signal_links
+from deepmf_sumo.scene import Bools, Floats, Rollout, Signals, SignalState
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.road_users import RoadUserClass, class_of
+from deepmf_sumo.scene.signals import steady
+from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.network.sumo_road import signal_links
 
 FILE: Final = "openscenario/"
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"

@@ -16,11 +16,11 @@ import shapely
 from pydantic import Field
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Bools, Floats, Polyline, RoadMap, Rollout, Tracks
-from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters._numbers import Numbers, Sort
 from deepmf_sumo.exporters.base import Exportable, known_heights
+from deepmf_sumo.scene import Bools, Floats, Polyline, RoadMap, Rollout, Tracks
+from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 
 FILE: Final = "osi/"
 TRACE, RECORDS, ABOUT = "run_gt.osi", "run.mcap", "about.json"

@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Boundary, Lane, Neighbour, RoadMap, Scene, Signals, SignalState
-from deepmf_sumo.datatypes.scene import AgentKind, LaneKind, PolygonKind
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.readers.scenarionet import EDGE_KINDS, KINDS, LANE_KINDS, LINE_KINDS
+from deepmf_sumo.scene import Boundary, Lane, Neighbour, RoadMap, Scene, Signals, SignalState
+from deepmf_sumo.scene.readers.scenarionet import EDGE_KINDS, KINDS, LANE_KINDS, LINE_KINDS
+from deepmf_sumo.scene.scene import AgentKind, LaneKind, PolygonKind
 
 FILE: Final = "sd_run.pkl"
 """MetaDrive takes files that begin with sd_ for scenarios."""

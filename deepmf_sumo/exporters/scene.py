@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import Plan, RoadMap, Rollout, Scene, Signals, Tracks, frozen
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.ground import ground_of
-from deepmf_sumo.readers import npz
+from deepmf_sumo.scene import Plan, RoadMap, Rollout, Scene, Signals, Tracks, frozen
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import ground_of
+from deepmf_sumo.scene.readers import npz
 
 FILE: Final = "scene.npz"
 

@@ -20,10 +20,10 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo import files, plugins, tables
-from deepmf_sumo.datatypes import Contact, Floats, Rollout, Tracks
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.metrics.traffic_conflicts import Motions
+from deepmf_sumo.scene import Contact, Floats, Rollout, Tracks
+from deepmf_sumo.scene.geometry import frames
 
 FILE: Final = "ssam/"
 TRAJECTORIES, VEHICLES, ABOUT = "run.trj", "vehicles.csv", "about.json"

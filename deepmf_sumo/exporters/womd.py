@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo import files, plugins, tables
-from deepmf_sumo.datatypes import Boundary, Floats, Lane, Neighbour, RoadMap, Scene, Signals
 from deepmf_sumo.exporters._numbers import Numbers, Sort
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.readers.protos import scenario_pb2 as pb
-from deepmf_sumo.readers.womd import packed
+from deepmf_sumo.scene import Boundary, Floats, Lane, Neighbour, RoadMap, Scene, Signals
+from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.scene.readers.womd import packed
 
 FILE: Final = "womd/"
 RECORDS, IDS = "run.tfrecord", "ids.csv"

@@ -8,8 +8,8 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Floats, Rollout, Tracks
-from deepmf_sumo.geometry import boxes, frames, polylines
+from deepmf_sumo.scene import DT_S, Floats, Rollout, Tracks
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
 
 AccidentType = Literal["cut_in", "rear_end", "t_bone", "head_on", "sideswipe"]
 ACCIDENT_TYPES: Final[tuple[AccidentType, ...]] = get_args(AccidentType)

@@ -29,8 +29,6 @@ from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.geometry import boxes, frames, road
 from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, along_lanes
@@ -50,6 +48,8 @@ from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.driving import crossed_late
+from deepmf_sumo.scene import Floats
+from deepmf_sumo.scene.geometry import boxes, frames, road
 
 Change = Literal[
     "stops at the light", "stays in its lane", "waits for the gap", "keeps to the limit",

@@ -14,10 +14,10 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Floats, Ints, RoadMap, Tracks
-from deepmf_sumo.geometry import boxes, frames, polylines
 from deepmf_sumo.judge.accident_types import CUT_IN_S, came_from_beside
-from deepmf_sumo.network.matching import match
+from deepmf_sumo.scene import DT_S, Floats, Ints, RoadMap, Tracks
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.sumo.network.matching import match
 
 ConflictType = Literal[
     "rear-end", "crossing", "left turn across path", "right turn across path", "merging",

@@ -10,16 +10,16 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import RoadMap, Rollout, Tracks
-from deepmf_sumo.datatypes.road_users import RoadUserClass, class_of
-from deepmf_sumo.datatypes.signals import FORBIDS, GOES, STOP_FIRST
-from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_of
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
-from deepmf_sumo.network.matching import match
+from deepmf_sumo.scene import RoadMap, Rollout, Tracks
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
+from deepmf_sumo.scene.road_users import RoadUserClass, class_of
+from deepmf_sumo.scene.signals import FORBIDS, GOES, STOP_FIRST
+from deepmf_sumo.sumo.network.matching import match
 
 Action = Literal[
     "braked", "stopped", "accelerated", "set off", "stood", "held speed", "steered"

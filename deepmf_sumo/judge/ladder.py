@@ -20,9 +20,6 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats, Ints, Rollout
-from deepmf_sumo.datatypes.signals import FORBIDS
-from deepmf_sumo.geometry import road
 from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.conflict_types import Meeting
 from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
@@ -30,6 +27,9 @@ from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.collision import collision_clean
 from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
+from deepmf_sumo.scene import Floats, Ints, Rollout
+from deepmf_sumo.scene.geometry import road
+from deepmf_sumo.scene.signals import FORBIDS
 
 Rung = Literal["A", "B", "C", "D"]
 RUNGS: Final[tuple[Rung, ...]] = get_args(Rung)

@@ -12,7 +12,6 @@ from zlib import crc32
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Plan, TurnRules, View
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.live.connection import (
@@ -32,7 +31,8 @@ from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.live.record import Record, Setting
 from deepmf_sumo.live.session import LiveAttack, Session
 from deepmf_sumo.live.triggers import AtEdge, Trigger, parse
-from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.scene import AgentId, Plan, TurnRules, View
+from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.spec import Spec, of_document
 from deepmf_sumo.spec.document import Document
 from deepmf_sumo.spec.loading import assign
@@ -152,8 +152,8 @@ def policy_of(spec: Spec) -> Policy:
             f"adversary.tries {settings.tries}: a running simulation cannot be tried again;"
             " leave it at 1."
         )
-    from deepmf_sumo.predictors import weights
-    from deepmf_sumo.predictors.weights import one_thread
+    from deepmf_sumo.deepmf.networks import weights
+    from deepmf_sumo.deepmf.networks.weights import one_thread
 
     return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)
 

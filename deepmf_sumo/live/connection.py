@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
 from deepmf_sumo.errors import SimulationError, UsageError
-from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
 
 _AGAIN_S: Final = 0.2
 """Pause between two tries to connect."""

@@ -7,7 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.deepmf.networks.lanes import road_index
+from deepmf_sumo.live.connection import LiveApi
+from deepmf_sumo.live.observer import Observer, Sighting
+from deepmf_sumo.scene import (
     DT_S,
     AgentId,
     Driver,
@@ -19,21 +22,18 @@ from deepmf_sumo.datatypes import (
     TurnRules,
     View,
 )
-from deepmf_sumo.datatypes.plan import TurnEnd
-from deepmf_sumo.datatypes.rollout import decisive
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.live.connection import LiveApi
-from deepmf_sumo.live.observer import Observer, Sighting
-from deepmf_sumo.network.sumo_road import road_of_net, signal_links
-from deepmf_sumo.policies.base import Policy
-from deepmf_sumo.predictors.lanes import road_index
-from deepmf_sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.simulation.frame import Frame, Pose
-from deepmf_sumo.simulation.observation import LiveSignals
-from deepmf_sumo.simulation.occupancy import Occupancy
-from deepmf_sumo.simulation.recorder import EpisodeRecord, Recorder
-from deepmf_sumo.simulation.shown_motion import ShownMotion
-from deepmf_sumo.simulation.vehicle_control import SumoOwner, Takeover
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.plan import TurnEnd
+from deepmf_sumo.scene.policy import Policy
+from deepmf_sumo.scene.rollout import decisive
+from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
+from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
+from deepmf_sumo.sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.sumo.simulation.observation import LiveSignals
+from deepmf_sumo.sumo.simulation.occupancy import Occupancy
+from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion
+from deepmf_sumo.sumo.simulation.vehicle_control import SumoOwner, Takeover
 
 _NEAR_M: Final = 150.0
 """Lights farther from the AV are not read: each costs a message."""

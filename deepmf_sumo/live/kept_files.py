@@ -1,7 +1,7 @@
 """Files that a client of `serve` has SUMO write are in one folder, and it can load them from there.
 
 Commands that name a file are changed; those of which the file cannot be read are refused. All else
-passes. SUMO's outputs are kept by its options, see `simulation.sumo_outputs`.
+passes. SUMO's outputs are kept by its options, see `sumo.simulation.sumo_outputs`.
 
 Source of the protocol: SUMO's documentation, TraCI/Protocol. A set command has its variable, the
 name of an object and a typed value.

@@ -11,10 +11,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Self
 
-from deepmf_sumo.datatypes import DT_S, AgentId
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.live.connection import LiveApi, lost, of_sumo
 from deepmf_sumo.live.session import Session
+from deepmf_sumo.scene import DT_S, AgentId
 
 _ASK_EVERY: Final = 10
 _TOLERANCE_S: Final = 1e-6

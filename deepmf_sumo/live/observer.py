@@ -13,11 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Driver, agent_ids
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.live.connection import LiveApi
-from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.road_users import Bodies, on_foot, somewhere
+from deepmf_sumo.scene import AgentId, Driver, agent_ids
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.sumo.simulation.road_users import Bodies, on_foot, somewhere
 
 POSITION, ANGLE, SPEED = 0x39, 0x43, 0x40
 """TraCI's numbers of the variables: front bumper x, y, z (m), degrees clockwise from north, m/s."""

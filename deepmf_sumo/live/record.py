@@ -20,8 +20,6 @@ from typing import Any, Final
 
 import deepmf_sumo
 from deepmf_sumo import files, plugins
-from deepmf_sumo.datatypes import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
-from deepmf_sumo.datatypes.rollout import decisive
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.judge.metrics import Episode, measure, measured
 from deepmf_sumo.live.session import Jump, LiveAttack, Switch
@@ -29,8 +27,10 @@ from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import write_tracks
+from deepmf_sumo.scene import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
+from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.spec import Spec, profiles
-from deepmf_sumo.tasks import Task
+from deepmf_sumo.spec.tasks import Task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

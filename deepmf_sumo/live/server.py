@@ -18,8 +18,8 @@ from typing import Final, Self
 
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.live.relay import Said, relay
-from deepmf_sumo.network import sumo_tools
-from deepmf_sumo.simulation.sumo_outputs import confined
+from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.simulation.sumo_outputs import confined
 
 _END_S: Final = 3.0
 _OUTPUT_S: Final = 60.0

@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, HISTORY_STEPS, AgentId, Rollout
 from deepmf_sumo.errors import RunError, UsageError
 from deepmf_sumo.live.engagement import Engagement, Scenery, Surroundings
 from deepmf_sumo.live.observer import Sighting
 from deepmf_sumo.live.triggers import AtTime, Moment, Trigger
-from deepmf_sumo.policies.base import Policy
+from deepmf_sumo.scene import DT_S, HISTORY_STEPS, AgentId, Rollout
+from deepmf_sumo.scene.policy import Policy
 
 _ASK_EVERY: Final = 10
 _WAKE_S: Final = 1.5

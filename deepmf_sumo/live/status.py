@@ -13,10 +13,10 @@ from http import HTTPStatus
 from types import TracebackType
 from typing import Any, Final, Self
 
-from deepmf_sumo.datatypes import AgentId
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live.session import Session
 from deepmf_sumo.local_http import LocalHandler, LocalServer
+from deepmf_sumo.scene import AgentId
 
 DOOR: Final = "HTTP"
 """How the record of a session names a switch that came in here."""

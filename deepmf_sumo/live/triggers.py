@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Floats
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
 from deepmf_sumo.live.observer import Observer, Sighting
-from deepmf_sumo.simulation.frame import Frame
-from deepmf_sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.scene import AgentId, Floats
+from deepmf_sumo.sumo.simulation.frame import Frame
+from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
 
 _FORMS: Final = "time=SECONDS, edge=ID or ttc=SECONDS"
 

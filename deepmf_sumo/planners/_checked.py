@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 from deepmf_sumo.errors import DeepmfError, PlannerError
-from deepmf_sumo.geometry.frames import TURNED_RAD
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
 from deepmf_sumo.planners.remote.protocol import FASTEST_MPS, NUMBERS
+from deepmf_sumo.scene import Case, Command, VehicleModel, View
+from deepmf_sumo.scene.geometry.frames import TURNED_RAD
 
 _OVERSHOOT_MPS: Final = 1.0
 """A planner that brakes to a stop by full steps ends up to this far below 0, which counts as 0."""

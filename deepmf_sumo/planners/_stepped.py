@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.scene import Case, Command, VehicleModel, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

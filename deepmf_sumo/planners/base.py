@@ -4,7 +4,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, Floats, VehicleModel, View
+from deepmf_sumo.scene import Case, Command, Floats, VehicleModel, View
 
 
 class Planner(Protocol):

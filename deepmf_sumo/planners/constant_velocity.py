@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene import Case, Command, VehicleModel, View
+from deepmf_sumo.scene.geometry import frames
 
 
 class Settings(PluginSettings):

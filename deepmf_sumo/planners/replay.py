@@ -4,7 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene import (
     DT_S,
     Case,
     Command,
@@ -14,9 +16,7 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene.geometry import frames
 
 DRIVER: Final = "human"
 

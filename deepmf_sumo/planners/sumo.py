@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Command, VehicleModel, View
 from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene import Case, Command, VehicleModel, View
 
 
 class Settings(PluginSettings):

@@ -11,10 +11,10 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.path import Path
 
-from deepmf_sumo.datatypes import Floats, RoadMap, Tracks
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.report import palette
+from deepmf_sumo.scene import Floats, RoadMap, Tracks
+from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.scene.geometry.lane_map import per_road
 
 SCORES: Final = LinearSegmentedColormap.from_list(
     "scores", [palette.hexadecimal(colour) for colour in palette.SCORES]

@@ -2,8 +2,8 @@
 
 from typing import Any, Final
 
+from deepmf_sumo.results.risk.coverage import Cell
 from deepmf_sumo.results.statistics import Interval
-from deepmf_sumo.risk.coverage import Cell
 
 HEADINGS: Final = (
     "", "attacks", "conflicts (95 %)", "hits (95 %)", "findings (95 %)", "causes",

@@ -13,7 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
+from deepmf_sumo.judge.hits import conflict_of
+from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
+from deepmf_sumo.report.table import OUTCOMES, SECTORS
+from deepmf_sumo.scene import (
     Case,
     Contact,
     Floats,
@@ -23,11 +28,6 @@ from deepmf_sumo.datatypes import (
     TrafficCase,
     View,
 )
-from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
-from deepmf_sumo.judge.hits import conflict_of
-from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
-from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
-from deepmf_sumo.report.table import OUTCOMES, SECTORS
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4

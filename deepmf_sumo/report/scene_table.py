@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.readers import Refusal
+from deepmf_sumo.scene import Scene
+from deepmf_sumo.scene.readers import Refusal
 from deepmf_sumo.texts import cell
 
 COLUMNS: Final = (

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from deepmf_sumo.geometry import impact
 from deepmf_sumo.results import findings
 from deepmf_sumo.results.result import Result, first_contact
+from deepmf_sumo.scene.geometry import impact
 
 HEADINGS: Final = ("run", "outcome", "contact", "speed", "opponent", "AV hit at", "generated in")
 

@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
+from deepmf_sumo.results import signals, stored, tracks
+from deepmf_sumo.results.result import counterfactual_of
+from deepmf_sumo.results.tracks import read_tracks
+from deepmf_sumo.scene import (
     DT_S,
     Case,
     Contact,
@@ -17,17 +21,13 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     Rollout,
 )
-from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
-from deepmf_sumo.results import signals, stored, tracks
-from deepmf_sumo.results.result import counterfactual_of
-from deepmf_sumo.results.tracks import read_tracks
 
 PLANS: Final = "plans.npz"
 UNATTACKED: Final = "unattacked.npz"
 
 
 def write_plans(path: Path, rollout: Rollout) -> None:
-    """All plans and their reasons, ``<number>/<field>``; see `datatypes.plan` for the shapes."""
+    """All plans and their reasons, ``<number>/<field>``; see `scene.plan` for the shapes."""
     arrays: dict[str, NDArray[Any]] = {"plans": np.array(len(rollout.plans))}
     for number, plan in enumerate(rollout.plans):
         fields = {**_plan(plan), **(_reason(plan.reason) if plan.reason else {})}

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from deepmf_sumo import files, network, plugins
-from deepmf_sumo.datatypes import ROLLOUT, Source
+from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import OutputError, RunError, UsageError
 from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, Surroundings, signals_of
 from deepmf_sumo.results import result, stored, tracks
 from deepmf_sumo.results.findings import said
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import ROLLOUT, Source
+from deepmf_sumo.sumo import network
 
 Only = Literal["hits", "findings"]
 ONLY: Final[tuple[Only, ...]] = get_args(Only)

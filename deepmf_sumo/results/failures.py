@@ -9,13 +9,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Literal
 
-from deepmf_sumo.datatypes import RoadMap, Rollout
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.judge.conflict_types import ConflictType, Side, Who
 from deepmf_sumo.judge.hits import Action, Hit, described
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import RoadMap, Rollout
 
 Kind = Literal[
     "hit", "planner crashed", "planner hung", "planner answered nonsense", "run timed out"

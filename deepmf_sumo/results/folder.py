@@ -22,13 +22,13 @@ from typing import Any, Final
 
 import deepmf_sumo
 from deepmf_sumo import files, tables
+from deepmf_sumo.deepmf.networks.weights import runtime_and_device
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.predictors.weights import runtime_and_device
 from deepmf_sumo.results import findings, junit, result, statistics, stored
 from deepmf_sumo.results.quantities import unit, worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
-from deepmf_sumo.tasks import Task
+from deepmf_sumo.spec.tasks import Task
 
 try:
     import fcntl

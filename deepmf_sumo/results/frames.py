@@ -12,13 +12,13 @@ from typing import Any, Final, Literal, get_args
 import pandas as pd
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.results import findings, quantities, statistics
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.reader import HIT, Results, Run
 from deepmf_sumo.results.result import COLUMNS, Result, attacked
 from deepmf_sumo.results.setups import moment_of, setup_of
+from deepmf_sumo.scene import DT_S
 
 Kind = Literal["runs", "attacks", "contacts"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

@@ -12,7 +12,7 @@ from deepmf_sumo.results import reader, stored
 from deepmf_sumo.results import result as result_module
 from deepmf_sumo.results.reader import MISSING, Results, Run
 from deepmf_sumo.results.result import Result
-from deepmf_sumo.tasks import slug
+from deepmf_sumo.spec.tasks import slug
 
 _REASON: Final = "the run has no result: it was not started, or interrupted"
 

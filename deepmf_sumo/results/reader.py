@@ -15,19 +15,19 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from deepmf_sumo import files, readers
-from deepmf_sumo.datatypes import Contact, RoadMap, Rollout, Scene
+from deepmf_sumo import files
 from deepmf_sumo.errors import ReaderError, UsageError
 from deepmf_sumo.files import cache_folder
-from deepmf_sumo.geometry.impact import SECTORS
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.judge.ladder import Rung
-from deepmf_sumo.network.sumo_road import road_of_net
 from deepmf_sumo.results import artifacts, findings, stored, tracks
 from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.result import ContactValues, MetricValues, Result
+from deepmf_sumo.scene import Contact, RoadMap, Rollout, Scene, readers
+from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.spec import document
+from deepmf_sumo.sumo.network.sumo_road import road_of_net
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,7 +11,12 @@ from typing import Any, Final, Literal, Required, TypedDict
 import numpy as np
 
 from deepmf_sumo import plugins, tables
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import PlannerFault
+from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
+from deepmf_sumo.judge.causes import cause_of
+from deepmf_sumo.judge.ladder import RUNGS, verdict
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
+from deepmf_sumo.scene import (
     Attack,
     Case,
     Contact,
@@ -22,15 +27,10 @@ from deepmf_sumo.datatypes import (
     Trial,
     Turn,
 )
-from deepmf_sumo.datatypes.rollout import decisive
-from deepmf_sumo.errors import PlannerFault
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
-from deepmf_sumo.judge.causes import cause_of
-from deepmf_sumo.judge.ladder import RUNGS, verdict
-from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
-from deepmf_sumo.tasks import Label, Task
+from deepmf_sumo.spec.tasks import Label, Task
 
 TABLE: Final = "turns.csv"
 _RUN: Final = ("run_id", "spec", "scene", "planner", "adversary", "version", "seed")
@@ -118,7 +118,7 @@ Status = Literal["ok", "failed", "timeout", "skipped"]
 
 
 class ContactValues(TypedDict, total=False):
-    """A contact, see `datatypes.Contact`.
+    """A contact, see `scene.Contact`.
 
     Attributes:
         kind: ``av_opponent``, ``av_other`` or ``opponent_other``.
@@ -146,7 +146,7 @@ class ContactValues(TypedDict, total=False):
 
 
 class MetricValues(TypedDict):
-    """A metric, see `datatypes.MetricValue`.
+    """A metric, see `scene.MetricValue`.
 
     Attributes:
         value: None where it is not defined.
@@ -178,7 +178,7 @@ class Result(TypedDict, total=False):
         setup: the spec of this run alone, of files the names alone.
         inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
             ``adversary``, ``others`` (code of metrics and readers that is not of this package).
-        draw: how its moment was drawn, see `tasks.Draw`; missing where all moments are spread.
+        draw: how its moment was drawn, see `spec.tasks.Draw`; missing where all moments are spread.
         error: why the run failed.
         planner_fault: of a run that failed, what the planner did wrong: ``crashed``, ``hung`` or
             ``nonsense``; empty where it is not the planner's.

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import RoadMap, Rollout, SignalState
 from deepmf_sumo.exporters.base import lights_near
 from deepmf_sumo.results import stored
+from deepmf_sumo.scene import RoadMap, Rollout, SignalState
 
 FILE: Final = "signals.csv.gz"
 UNSEEN: Final = "unseen"

@@ -37,7 +37,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betainc, betaln, expit
 
-from deepmf_sumo.datatypes import Floats
+from deepmf_sumo.scene import Floats
 
 CONFIDENCE: Final = 0.95
 _MOST_VALUES: Final = 200

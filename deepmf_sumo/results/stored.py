@@ -21,8 +21,8 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.ladder import Rung
 from deepmf_sumo.results import result
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec.tasks import is_run_id
 from deepmf_sumo.tables import read_csv
-from deepmf_sumo.tasks import is_run_id
 
 _LARGEST: Final = 2**26
 """Bytes of a JSON file: thousands of trials of a search are some MB."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import Driver, Rollout, Tracks
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.results import stored
+from deepmf_sumo.scene import Driver, Rollout, Tracks
+from deepmf_sumo.scene.geometry import frames
 
 FILE: Final = "tracks.csv.gz"
 _PIECE: Final = 1 << 20
@@ -28,7 +28,7 @@ class RecordedTracks:
 
     Attributes:
         tracks: velocities lie along the headings, heights of vehicles are 0.
-        driver: (A, T) `datatypes.Driver`.
+        driver: (A, T) `scene.Driver`.
         now: step at which the simulation took over.
         attackers: as of `Rollout`; those that were asked for.
     """

@@ -9,7 +9,7 @@ from torch import nn
 
 import deepmf_sumo
 from deepmf_sumo import tables
-from deepmf_sumo.predictors.weights import (
+from deepmf_sumo.deepmf.networks.weights import (
     DIGEST,
     FORMAT_VERSION,
     NETWORKS,

@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import torch
 
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks.config import preset_named
+from deepmf_sumo.deepmf.networks.weights import BASELINES, NETWORKS, Network
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.config import preset_named
-from deepmf_sumo.predictors.weights import BASELINES, NETWORKS, Network
 from deepmf_sumo.training import config, initial_weights, members, run
 from deepmf_sumo.training.config import Config
 from deepmf_sumo.training.run import Training

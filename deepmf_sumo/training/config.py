@@ -5,8 +5,8 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import ExistingPath, Strict

@@ -6,10 +6,11 @@ from typing import Final
 from torch import Tensor, nn
 
 from deepmf_sumo import files
+from deepmf_sumo.baselines.priors import reading
+from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training.samples.dataset import Progress
 
 MARGINAL: Final = "marginal"
@@ -62,7 +63,13 @@ def check(
     """Raise the errors of `file_of` and `load`."""
     file = file_of(network, preset, folder, begin_from, report)
     if file is not None:
-        load(torch_networks.build(network, preset), network, file)
+        load(untrained(network, preset), network, file)
+
+
+def untrained(network: Network, preset: Preset) -> nn.Module:
+    """A network of the method or of a baseline, with random weights."""
+    build = reading.build if network in weights.BASELINES else torch_networks.build
+    return build(network, preset)
 
 
 def digest(file: Path | None) -> str:

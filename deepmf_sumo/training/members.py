@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from deepmf_sumo.deepmf.networks import decoding, marginal, torch_networks, weights
+from deepmf_sumo.deepmf.networks.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.predictors import decoding, marginal, torch_networks, weights
-from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
-from deepmf_sumo.predictors.densetnt import DenseTNT
 from deepmf_sumo.training import cards, run
 from deepmf_sumo.training.fit.loop import in_batches
 from deepmf_sumo.training.networks import trajectory

@@ -1,7 +1,7 @@
 """Writing the networks of a set as ONNX graphs, for installations without torch.
 
-`predictors.onnx_networks` reads them. Graphs are checked against torch before they are written, on
-random inputs of other sizes than those that they were traced with.
+`deepmf.networks.onnx_networks` reads them. Graphs are checked against torch before they are
+written, on random inputs of other sizes than those that they were traced with.
 """
 
 import json
@@ -19,18 +19,18 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 from deepmf_sumo import files
+from deepmf_sumo.deepmf.networks import conditioning, torch_networks, weights
+from deepmf_sumo.deepmf.networks import paths as paths_module
+from deepmf_sumo.deepmf.networks.car_following import Road
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Encoding
+from deepmf_sumo.deepmf.networks.features import AGENTS, LANES, PATH_AGENTS
+from deepmf_sumo.deepmf.networks.onnx_networks import DECODE, ENCODE, KERNEL, PATHS, graph_file
+from deepmf_sumo.deepmf.networks.opponent import OTHERS, PAIR, SLOTS
+from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
+from deepmf_sumo.deepmf.networks.paths import INFO, NODES
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import conditioning, torch_networks, weights
-from deepmf_sumo.predictors import paths as paths_module
-from deepmf_sumo.predictors.car_following import Road
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.densetnt import DenseTNT, Encoding
-from deepmf_sumo.predictors.features import AGENTS, LANES, PATH_AGENTS
-from deepmf_sumo.predictors.onnx_networks import DECODE, ENCODE, KERNEL, PATHS, graph_file
-from deepmf_sumo.predictors.opponent import OTHERS, PAIR, SLOTS
-from deepmf_sumo.predictors.opponent_net import OpponentNet
-from deepmf_sumo.predictors.paths import INFO, NODES
-from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training.fit import checkpoints
 
 _OPSET: Final = 20

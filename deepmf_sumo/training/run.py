@@ -12,14 +12,14 @@ import numpy as np
 import torch
 from torch import nn
 
+from deepmf_sumo.baselines.priors.diffscene import DiffusionPrior
+from deepmf_sumo.baselines.priors.strive import MotionPrior
+from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
+from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import OutputError, RunError, WeightsError
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.densetnt import DenseTNT
-from deepmf_sumo.predictors.motion_priors.diffscene import DiffusionPrior
-from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
-from deepmf_sumo.predictors.opponent_net import OpponentNet
-from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training import cards, initial_weights
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
@@ -143,7 +143,7 @@ def _prepared(
 ) -> tuple[nn.Module, Dataset]:
     """The network before its first step, and the samples to train it on."""
     torch.manual_seed(training.seed)
-    net = torch_networks.build(network, training.preset)
+    net = initial_weights.untrained(network, training.preset)
     if initial is not None:
         initial_weights.load(net, network, initial)
     dataset = filter_drivers(network, open_dataset(network, training, report), report)

@@ -9,13 +9,13 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo import spec
+from deepmf_sumo.deepmf.networks.config import Preset, changed, preset_named
 from deepmf_sumo.errors import SpecError, WeightsError
-from deepmf_sumo.predictors.config import Preset, changed, preset_named
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import ExistingPath, Strict
-from deepmf_sumo.tasks import slug
+from deepmf_sumo.spec.tasks import slug
 from deepmf_sumo.training import config
 from deepmf_sumo.training.config import Config, DataEntries
 

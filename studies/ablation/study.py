@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Final, Literal
 
 from deepmf_sumo import files
-from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.weights import NETWORKS, Network
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks.weights import NETWORKS, Network
 from deepmf_sumo.results.result import Result
-from deepmf_sumo.sweep import batch
-from deepmf_sumo.tasks import slug
+from deepmf_sumo.spec.tasks import slug
+from deepmf_sumo.study.sweep import batch
 from deepmf_sumo.training import evaluation, initial_weights
 from deepmf_sumo.training.command import train_each
 from deepmf_sumo.training.evaluation import Evaluation

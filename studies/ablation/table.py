@@ -12,7 +12,7 @@ from statistics import fmean, median
 from typing import Any, Final
 
 from deepmf_sumo import files, tables
-from deepmf_sumo.predictors.weights import NETWORKS, Network
+from deepmf_sumo.deepmf.networks.weights import NETWORKS, Network
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.quantities import unit
 from deepmf_sumo.results.result import Result

@@ -17,7 +17,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Case, Rollout, TrafficCase
 from deepmf_sumo.judge import hits
 from deepmf_sumo.judge.avoidability import encounter
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
@@ -27,6 +26,7 @@ from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.findings import finding
 from deepmf_sumo.results import artifacts
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import AgentId, Case, Rollout, TrafficCase
 
 WAYS: Final = ("now", "before", "lane")
 _NOTHING: Final = Counterfactual(by="lane", position_m=np.zeros((0, 2)), known=np.zeros(0, bool))

@@ -34,7 +34,7 @@ from flaws import FASTER, FLAWS, Junction, Network, Way
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import DeepmfError, OutputError, SimulationError, UsageError
-from deepmf_sumo.simulation.sumo_config import Configuration, read_configuration
+from deepmf_sumo.sumo.simulation.sumo_config import Configuration, read_configuration
 
 LEAST: Final = 10
 """Vehicles on each of two conflicting movements."""

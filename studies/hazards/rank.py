@@ -25,8 +25,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.results.risk.attacks import Attacked, read
 from deepmf_sumo.results.statistics import PlaceMean, by_unit, place_means, ranks, units_of
-from deepmf_sumo.risk.attacks import Attacked, read
 
 KINDS: Final = ("merge", "signal", "left", "stop")
 FLAWED: Final = ("merge3", "signal6", "left1", "stop8")

@@ -34,10 +34,10 @@ from deepmf_sumo import files
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.results import run_sets
 from deepmf_sumo.results.comparison import QuantityChange
-from deepmf_sumo.risk import attacks, table
-from deepmf_sumo.risk.comparison import COMPARED, CONFIDENCE, differences
-from deepmf_sumo.screening import GUIDELINES, screen
-from deepmf_sumo.screening.findings import RULES, SEVERITIES, Finding
+from deepmf_sumo.results.risk import attacks, table
+from deepmf_sumo.results.risk.comparison import COMPARED, CONFIDENCE, differences
+from deepmf_sumo.roadcheck.screening import GUIDELINES, screen
+from deepmf_sumo.roadcheck.screening.findings import RULES, SEVERITIES, Finding
 
 FIRST: Final = 0.05
 """Share of the places among which the flawed one should be."""

@@ -18,12 +18,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from deepmf_sumo.datatypes import Contact, RoadMap, Rollout
-from deepmf_sumo.datatypes.signals import colour
-from deepmf_sumo.network.matching import match
 from deepmf_sumo.report.drawing import draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, OPPONENT
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import Contact, RoadMap, Rollout
+from deepmf_sumo.scene.signals import colour
+from deepmf_sumo.sumo.network.matching import match
 
 BEFORE_S: Final = (4.0, 2.0, 1.0, 0.0)
 SIDE_M: Final = 70.0

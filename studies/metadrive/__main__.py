@@ -13,17 +13,17 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from deepmf_sumo import plugins, tasks
-from deepmf_sumo.datatypes import Attack, Budget, RecordedCase, Rollout
+from deepmf_sumo import plugins
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.judge.metrics import measure
-from deepmf_sumo.policies.base import Policy
 from deepmf_sumo.results import statistics
-from deepmf_sumo.simulation.episode import run
-from deepmf_sumo.spec import Spec
-from deepmf_sumo.sweep import episode
-from deepmf_sumo.tasks import Task
+from deepmf_sumo.scene import Attack, Budget, RecordedCase, Rollout
+from deepmf_sumo.scene.policy import Policy
+from deepmf_sumo.spec import Spec, tasks
+from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.study.sweep import episode
+from deepmf_sumo.sumo.simulation.episode import run
 from studies.metadrive.world import AvName, MetaDriveWorld, Passenger, environment, written
 
 PLANNERS: Final[dict[AvName, dict[str, Any]]] = {

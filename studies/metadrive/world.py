@@ -13,7 +13,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import PluginError
+from deepmf_sumo.exporters.scenarionet import described, packed
+from deepmf_sumo.scene import (
     AgentId,
     Case,
     Command,
@@ -26,12 +28,10 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.errors import PluginError
-from deepmf_sumo.exporters.scenarionet import described, packed
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.simulation.log_plan import recorded_body, recorded_frame
-from deepmf_sumo.simulation.ownership import LogOwner, NextOwner
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.sumo.simulation.log_plan import recorded_body, recorded_frame
+from deepmf_sumo.sumo.simulation.ownership import LogOwner, NextOwner
 
 AvName = Literal["replay", "idm"]
 _STANDS_MPS: Final = 0.05
@@ -122,7 +122,7 @@ class _Av:
 
 
 class MetaDriveWorld:
-    """MetaDrive at the current step of a case; see `simulation.world.World`.
+    """MetaDrive at the current step of a case; see `sumo.simulation.world.World`.
 
     Args:
         env: of `environment`.

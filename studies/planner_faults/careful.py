@@ -19,7 +19,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.avoidability import reference_drivers as drivers
+from deepmf_sumo.judge.avoidability.av_path import AvPath
+from deepmf_sumo.planners import idm
+from deepmf_sumo.planners.perception import entries
+from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene import (
     AgentId,
     Bools,
     Case,
@@ -30,14 +35,9 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.ground import off_level
-from deepmf_sumo.geometry.slow import WAITING_MPS
-from deepmf_sumo.judge.avoidability import reference_drivers as drivers
-from deepmf_sumo.judge.avoidability.av_path import AvPath
-from deepmf_sumo.planners import idm
-from deepmf_sumo.planners.perception import entries
-from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import off_level
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from studies.planner_faults import prediction
 from studies.planner_faults.prediction import TIMES_S, Occupancy
 

@@ -13,7 +13,10 @@ from typing import Any, Final
 import numpy as np
 from pydantic import field_validator
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import nearest
+from deepmf_sumo.planners import idm
+from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene import (
     AgentId,
     Bools,
     Case,
@@ -24,11 +27,8 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.errors import nearest
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.slow import WAITING_MPS
-from deepmf_sumo.planners import idm
-from deepmf_sumo.plugins import Settings as PluginSettings
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from studies.planner_faults import careful, unguarded
 from studies.planner_faults.unguarded import STOPS, Others, around, lanes_ahead, limit_of, speed_of
 

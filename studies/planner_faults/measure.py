@@ -21,13 +21,14 @@ from typing import Any, Final, NamedTuple, Self
 
 import yaml
 
-from deepmf_sumo import gate
 from deepmf_sumo import spec as specs
-from deepmf_sumo.plans import run_specs
+from deepmf_sumo.results import gate
 from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import FromMoments, Spec
-from deepmf_sumo.sweep import batch
+from deepmf_sumo.study import same_attacks
+from deepmf_sumo.study.plans import run_specs
+from deepmf_sumo.study.sweep import batch
 from deepmf_sumo.tables import to_markdown
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import halves
@@ -280,7 +281,7 @@ def _judged(
 
     def repeat(new: Path, old: Path) -> gate.SameAttacks:
         folder, level = asked.out / "same_attacks" / out.name, thresholds.baseline.confidence
-        return gate.repeated(new, old, folder, level, asked.jobs)
+        return same_attacks.repeated(new, old, folder, level, asked.jobs)
 
     verdict = gate.check(out, thresholds, baseline, repeat=repeat if again else None)
     found, same = _found(out)._replace(by=reported(verdict)), verdict.same_attacks

@@ -10,9 +10,9 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap
-from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.judge.avoidability.av_path import AvPath
+from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap
+from deepmf_sumo.scene.geometry import frames, polylines
 
 TIMES_S: Final = np.arange(0.0, 4.01, 0.2)
 """At which the others are predicted."""

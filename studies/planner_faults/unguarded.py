@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Command, Floats, Lane, SignalState, VehicleModel, View
-from deepmf_sumo.geometry import frames, polylines
+from deepmf_sumo.scene import Bools, Command, Floats, Lane, SignalState, VehicleModel, View
+from deepmf_sumo.scene.geometry import frames, polylines
 from studies.planner_faults.careful import idm_accel
 
 _LEADER_M: Final = 100.0

@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmf_sumo import network, plugins, readers
-from deepmf_sumo.datatypes import Budget, RecordedCase, Scene
-from deepmf_sumo.simulation import simulate
+from deepmf_sumo import plugins
+from deepmf_sumo.scene import Budget, RecordedCase, Scene, readers
+from deepmf_sumo.sumo import network
+from deepmf_sumo.sumo.simulation import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = Path(os.environ.get("DEEPMF_SUMO_SCENES", ROOT.parent / "shared" / "womd" / "val"))

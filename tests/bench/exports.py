@@ -22,11 +22,11 @@ from typing import Any
 
 import yaml
 
-from deepmf_sumo import readers
 from deepmf_sumo.cli import main as program
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.results import exports
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import readers
 
 from tests.support import foreign_readers as foreign
 

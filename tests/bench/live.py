@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import sumo
 
-from deepmf_sumo.geometry import boxes, frames
+from deepmf_sumo.scene.geometry import boxes, frames
 
 BIN = Path(sumo.SUMO_HOME) / "bin"
 TOOLS = Path(sumo.SUMO_HOME) / "tools"

@@ -12,9 +12,10 @@ import resource
 import tempfile
 from pathlib import Path
 
-from deepmf_sumo import spec, tasks
-from deepmf_sumo.sweep import episode, fork
-from deepmf_sumo.tasks import Task
+from deepmf_sumo import spec
+from deepmf_sumo.spec import tasks
+from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.study.sweep import episode, fork
 
 from tests.support import same_bytes
 

@@ -11,11 +11,12 @@ import statistics
 import time
 from pathlib import Path
 
-from deepmf_sumo import api, shrink
-from deepmf_sumo.datatypes import DT_S
+from deepmf_sumo import api
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.results import tracks
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import DT_S
+from deepmf_sumo.study import shrink
 
 _FEW = 3
 

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from deepmf_sumo import spec
-from deepmf_sumo.sweep import batch
+from deepmf_sumo.study.sweep import batch
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "cut_in.yaml"
 

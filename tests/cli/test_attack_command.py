@@ -9,12 +9,12 @@ import pytest
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.moments import search
-from deepmf_sumo.moments.search import names_of
-from deepmf_sumo.simulation import demand
-from deepmf_sumo.simulation.sumo_config import read_configuration
-from deepmf_sumo.simulation.traffic_survey import Scouting, scout
-from deepmf_sumo.tasks import slug
+from deepmf_sumo.spec.tasks import slug
+from deepmf_sumo.study.moments import search
+from deepmf_sumo.study.moments.search import names_of
+from deepmf_sumo.sumo.simulation import demand
+from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
+from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
 
 from tests.support import crossing_network, tiny_network
 

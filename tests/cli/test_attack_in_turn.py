@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.moments import documents, spec_of
+from deepmf_sumo.study.moments import documents, spec_of
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from collections import Counter
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.readers import _tfrecord
+from deepmf_sumo.scene.readers import _tfrecord
 
 from tests.support import tiny_network
 from tests.support.recordings_by_hand import scenario

@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from deepmf_sumo.cli import merge
 from deepmf_sumo.cli._old_names import COMMANDS
 from deepmf_sumo.errors import SpecError, UsageError
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.study.sweep import workers
 
 from tests.support import tiny_plan
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deepmf_sumo import gate
+from deepmf_sumo.results import gate
 
 from tests.support import tiny_network
 

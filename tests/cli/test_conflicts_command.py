@@ -11,7 +11,7 @@ import pytest
 import sumo
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.risk.traffic_conflicts import LISTED, place_columns
+from deepmf_sumo.roadcheck.conflict_places import LISTED, place_columns
 
 from tests.support.foreign_readers import read_trj
 from tests.support.risk_doubles import Attacks, eastward

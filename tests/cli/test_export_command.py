@@ -5,11 +5,11 @@ import shutil
 import numpy as np
 import pytest
 
-from deepmf_sumo import readers
 from deepmf_sumo.cli import main
 from deepmf_sumo.exporters import scene as scene_format
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results
+from deepmf_sumo.scene import readers
 
 from tests.support import tiny_network, worth_doubles
 from tests.support.result_folders import Folder

@@ -7,10 +7,10 @@ import pytest
 
 from deepmf_sumo.cli import data, main
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.network import generated
-from deepmf_sumo.readers import npz, read_by
-from deepmf_sumo.recording import many
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.scene.readers import npz, read_by
+from deepmf_sumo.study.sweep import workers
+from deepmf_sumo.training import generated
+from deepmf_sumo.training.recording import many
 
 GENERATE = ["--generate", "junctions", "--scenes", "3", "--avs", "2", "--start", "15"]
 

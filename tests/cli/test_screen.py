@@ -9,7 +9,7 @@ from deepmf_sumo.cli import _screen as screen
 from deepmf_sumo.results import folder
 from deepmf_sumo.results.result import profile as profile_of
 from deepmf_sumo.spec.profiles import headline
-from deepmf_sumo.sweep.batch import Progress
+from deepmf_sumo.study.sweep.batch import Progress
 
 from tests.support import gate_doubles
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo.cli import main, screen
-from deepmf_sumo.screening import BESIDE, COLUMNS, GUIDELINES
+from deepmf_sumo.roadcheck.screening import BESIDE, COLUMNS, GUIDELINES
 
 from tests.support.risk_doubles import Attacks, eastward
 

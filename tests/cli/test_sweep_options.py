@@ -16,7 +16,7 @@ import pytest
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.results import stored
-from deepmf_sumo.sweep import shards
+from deepmf_sumo.study.sweep import shards
 
 from tests.support import same_bytes, tiny_network, tiny_plan
 

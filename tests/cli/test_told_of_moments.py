@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from deepmf_sumo.cli import _moments as told
-from deepmf_sumo.moments import Found
-from deepmf_sumo.moments.moment import Flow, Wish
+from deepmf_sumo.study.moments import Found
+from deepmf_sumo.study.moments.moment import Flow, Wish
 
 
 def run(ttc_s=None, outcome="none", status="ok", opponent="foe"):

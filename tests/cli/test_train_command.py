@@ -5,7 +5,7 @@ import pytest
 from safetensors.torch import load_file
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.readers import npz
+from deepmf_sumo.scene.readers import npz
 from deepmf_sumo.training.fit import checkpoints
 
 from tests.support.synthetic import scene

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.predictors import weights
-from deepmf_sumo.readers import npz
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.scene.readers import npz
 from deepmf_sumo.training import command, run
 
 from tests.support.synthetic import scene

@@ -10,7 +10,7 @@ import pytest
 
 import deepmf_sumo
 from deepmf_sumo.cli import main
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.study.sweep import workers
 
 from tests.support import tiny_network
 
@@ -49,7 +49,7 @@ def test_a_run_takes_it(tiny, tmp_path, monkeypatch):
     path = tiny_network.spec(tiny, "way")
     assert main.run(["run", str(path), "--out", str(tmp_path / "out")]) == 130
     hops = [(file, name.rpartition(".")[2]) for file, name in listed()]
-    begin, end = stack.index(hops[0]), listed().index(("sweep/workers.py", "run"))
+    begin, end = stack.index(hops[0]), listed().index(("study/sweep/workers.py", "run"))
     assert stack[begin:] == hops[:end]
     assert {file for file, _ in stack[:begin]} == {"cli/main.py"}
 

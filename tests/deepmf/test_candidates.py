@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Forecast, Futures, Plan
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked, track
+from deepmf_sumo.scene import Forecast, Futures, Plan
 
 from tests.support.predictor_doubles import FanPredictor, view_of
 

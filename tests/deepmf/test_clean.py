@@ -11,7 +11,7 @@ from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.situation import Others, Situation
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
@@ -19,7 +19,7 @@ from tests.support.rollout_doubles import rollout_of, straight
 
 AGENTS = {"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)}
 HALF_M = 2.25
-"""Of a lane, and the tolerance of `geometry.road`."""
+"""Of a lane, and the tolerance of `scene.geometry.road`."""
 
 
 def reason_of(agents, **values):

@@ -2,8 +2,8 @@ import numpy as np
 import shapely
 import shapely.affinity
 
-from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf.candidates import collisions
+from deepmf_sumo.scene import Forecast, Futures
 
 
 def box(position, heading, size):

@@ -8,7 +8,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import policy as policy_module
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.errors import PluginError, RunError
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.judge.avoidability.av_path import State
 from deepmf_sumo.judge.avoidability.grading import Past, avoidable
+from deepmf_sumo.scene import Forecast, Futures
 
 from tests.support.predictor_doubles import STEPS, view_of
 

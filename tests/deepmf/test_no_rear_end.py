@@ -5,10 +5,10 @@ import pytest
 from pydantic import ValidationError
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Forecast, Futures
 from deepmf_sumo.deepmf.candidates import collisions, rear_ends
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import Settings
+from deepmf_sumo.scene import Forecast, Futures
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of

@@ -17,7 +17,7 @@ from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits, Start, track
 from deepmf_sumo.errors import PluginError
-from deepmf_sumo.geometry import impact
+from deepmf_sumo.scene.geometry import impact
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, FanPredictor, view_of

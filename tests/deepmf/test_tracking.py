@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.datatypes import DT_S
 from deepmf_sumo.deepmf.tracking import Limits, Start, joined, track
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.scene import DT_S
+from deepmf_sumo.scene.geometry import frames
 
 from tests.support.predictor_doubles import STEPS, fan, view_of
 

@@ -27,7 +27,6 @@ from matplotlib.patches import Patch, Rectangle
 from PIL import Image
 
 import deepmf_sumo
-from deepmf_sumo.datatypes import RoadMap
 from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures.episode import met_at, window_of
 from deepmf_sumo.report.palette import (
@@ -41,6 +40,7 @@ from deepmf_sumo.report.palette import (
     hexadecimal,
 )
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import RoadMap
 
 from tests.docs import drawn
 from tests.docs.browser import photograph

@@ -5,8 +5,9 @@ import re
 
 import pytest
 
-from deepmf_sumo import plans, plugins, spec
-from deepmf_sumo.gate import thresholds
+from deepmf_sumo import plugins, spec
+from deepmf_sumo.results.gate import thresholds
+from deepmf_sumo.study import plans
 
 from tests.docs import blocks, counts
 from tests.docs.pages import DOCS, NOTEBOOK, README, ROOT, SITE, Block, Page, nav

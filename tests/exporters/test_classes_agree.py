@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes.road_users import RoadUserClass
 from deepmf_sumo.exporters import commonroad, fcd, openscenario, osi
 from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.scene.road_users import RoadUserClass
 
 from tests.exporters.test_every_exporter import recorded
 from tests.support.foreign_readers import _doubles, wire

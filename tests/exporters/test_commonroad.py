@@ -13,11 +13,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Lane, Neighbour, RoadMap
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.exporters import commonroad
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
+from deepmf_sumo.scene import Lane, Neighbour, RoadMap
 
 from tests.exporters.test_ssam import collision
 from tests.support.foreign_readers import boxes_of, commonroad_boxes, largest_error_m

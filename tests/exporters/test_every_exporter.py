@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import SumoNet
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.scene import SumoNet
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 

@@ -12,7 +12,7 @@ import sumo
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.planners import idm
-from deepmf_sumo.simulation import simulate
+from deepmf_sumo.sumo.simulation import simulate
 
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
@@ -110,8 +110,8 @@ def test_writing_again_replaces_the_folder(exported):
 
 def case_of_folder(folder, rollout):
     """The case again: its net lies beside the exported folder."""
-    from deepmf_sumo import network
-    from deepmf_sumo.datatypes import RecordedCase
+    from deepmf_sumo.scene import RecordedCase
+    from deepmf_sumo.sumo import network
 
     tracks = rollout.tracks
     motions = {

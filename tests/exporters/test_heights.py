@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.exporters import fcd, osi, scenarionet, womd
 
 from tests.exporters.test_ssam import collision
-from tests.readers.test_common_exam import in_scenarionet, in_womd
+from tests.scene.readers.test_common_exam import in_scenarionet, in_womd
 from tests.support import recordings_by_hand as by_hand
 
 MIDDLE_M = 8.0

@@ -14,7 +14,7 @@ import pytest
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.exporters import openscenario
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.network.sumo_net import read_once
+from deepmf_sumo.sumo.network.sumo_net import read_once
 
 from tests.exporters.test_ssam import collision
 from tests.support.foreign_readers import (

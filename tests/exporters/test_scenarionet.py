@@ -7,8 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from deepmf_sumo import readers
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.exporters import scenarionet
+from deepmf_sumo.exporters.base import Exportable
+from deepmf_sumo.exporters.scene import scene_of
+from deepmf_sumo.scene import (
     Boundary,
     Lane,
     Neighbour,
@@ -17,10 +19,8 @@ from deepmf_sumo.datatypes import (
     RoadMap,
     Signals,
     StopSign,
+    readers,
 )
-from deepmf_sumo.exporters import scenarionet
-from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.exporters.scene import scene_of
 
 from tests.exporters.test_ssam import collision
 from tests.support.foreign_readers import (

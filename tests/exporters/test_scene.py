@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Plan
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
+from deepmf_sumo.scene import Plan
 
 from tests.support.rollout_doubles import case_of, rollout_of, straight
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo import readers
 from deepmf_sumo.exporters import womd
 from deepmf_sumo.exporters._numbers import Numbers
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
+from deepmf_sumo.scene import readers
 
 from tests.exporters.test_scenarionet import run, same
 from tests.exporters.test_ssam import collision

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
-from deepmf_sumo.datatypes.scene import Neighbour
 from deepmf_sumo.judge import causes
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.encounter import encounter_of
@@ -14,6 +12,8 @@ from deepmf_sumo.judge.causes import cause_of
 from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import _av_error
 from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.scene import Lane, RoadMap, SignalState
+from deepmf_sumo.scene.scene import Neighbour
 
 from tests.support.drawn_attacks import NOW, STEPS, attack, cut_in
 from tests.support.rollout_doubles import in_traffic, straight

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.judge import conflict_types, hits
 from deepmf_sumo.judge.conflict_types import Meeting
 from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.scene import Lane, RoadMap, SignalState
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 

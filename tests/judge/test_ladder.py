@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Lane, Neighbour, RoadMap, SignalState
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import _av_error, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.judge.metrics.findings import finding, rung
+from deepmf_sumo.scene import Lane, Neighbour, RoadMap, SignalState
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of
 

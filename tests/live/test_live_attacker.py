@@ -11,12 +11,12 @@ import pytest
 import sumo
 
 import deepmf_sumo
-from deepmf_sumo import gate, risk
 from deepmf_sumo.errors import OutputError, SpecError, UsageError
 from deepmf_sumo.live import attacker as attacker_module
 from deepmf_sumo.live import record
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.report import comparison
+from deepmf_sumo.results import gate, risk
 from deepmf_sumo.results.reader import Results
 
 from tests.support.live_policies import Keep

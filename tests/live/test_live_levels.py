@@ -4,8 +4,8 @@ import libsumo
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Plan, TurnRules
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.scene import Plan, TurnRules
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support import two_levels
 from tests.support.live_doubles import OPTIONS, session_on, step

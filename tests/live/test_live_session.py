@@ -4,13 +4,13 @@ import libsumo
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Driver, TurnRules
+from deepmf_sumo.deepmf.networks import lanes
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live import observer
 from deepmf_sumo.live.session import parts_of_a_step
 from deepmf_sumo.live.triggers import AtEdge, AtTime, AtTtc, least_ttc_s, parse
-from deepmf_sumo.predictors import lanes
-from deepmf_sumo.simulation.frame import Frame
+from deepmf_sumo.scene import Driver, TurnRules
+from deepmf_sumo.sumo.simulation.frame import Frame
 
 from tests.support.live_doubles import OPTIONS, Brake, session_on, step
 from tests.support.tiny_network import build

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import deepmf_sumo
-from deepmf_sumo.datatypes import Driver, Plan, TurnRules
 from deepmf_sumo.live import attacker, record
 from deepmf_sumo.results.reader import Results
+from deepmf_sumo.scene import Driver, Plan, TurnRules
 
 from tests.support import tiny_network
 from tests.support.live_doubles import OPTIONS, session_on, step

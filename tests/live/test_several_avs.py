@@ -8,11 +8,11 @@ import sys
 import pytest
 
 import deepmf_sumo
-from deepmf_sumo.datatypes import Plan
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.live import attacker as attacker_module
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.lockstep import Lockstep, Stay
+from deepmf_sumo.scene import Plan
 
 pytestmark = pytest.mark.sumo
 

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import PlannerError
 from deepmf_sumo.planners._checked import Guard, check
-from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.scene import Command
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 from tests.support.tiny_network import build
 

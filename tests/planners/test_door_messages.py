@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import PlannerError
+from deepmf_sumo.planners.remote import client, serve
+from deepmf_sumo.planners.remote.protocol import PROTOCOL, Reset, ViewMessage, schema
+from deepmf_sumo.scene import (
     Command,
     RecordedCase,
     SignalState,
@@ -17,9 +20,6 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.planners.remote import client, serve
-from deepmf_sumo.planners.remote.protocol import PROTOCOL, Reset, ViewMessage, schema
 
 from tests.support import simulated_worlds as worlds
 

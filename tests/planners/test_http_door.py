@@ -15,7 +15,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError
 from deepmf_sumo.planners import http, idm
 from deepmf_sumo.planners.remote import serve
-from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 from tests.support.tiny_network import build
 

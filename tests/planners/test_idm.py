@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import RoadMap, SumoNet, Tracks, View
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.planners.perception import nearest_in_corridor
+from deepmf_sumo.scene import RoadMap, SumoNet, Tracks, View
 
 from tests.support.rollout_doubles import case_of
 

@@ -13,7 +13,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.errors import PlannerError, PluginError, SimulationError
 from deepmf_sumo.planners import idm, isolated, program
 from deepmf_sumo.planners.remote.process import Process
-from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 from tests.support.tiny_network import build
 

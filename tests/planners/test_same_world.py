@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.planners import idm
+from deepmf_sumo.planners.perception import nearest_in_corridor
+from deepmf_sumo.planners.remote import client, serve
+from deepmf_sumo.scene import (
     Boundary,
     Command,
     Lane,
@@ -17,10 +20,7 @@ from deepmf_sumo.datatypes import (
     StopSign,
     View,
 )
-from deepmf_sumo.planners import idm
-from deepmf_sumo.planners.perception import nearest_in_corridor
-from deepmf_sumo.planners.remote import client, serve
-from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 from tests.support import rollout_doubles, two_levels
 from tests.support.predictor_doubles import straight_tracks

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepmf_sumo.datatypes import Command
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
+from deepmf_sumo.scene import Command
 
 GO = Command(kind="sumo")
 

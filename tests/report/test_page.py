@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.datatypes import Lane, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import columns, roads
 from deepmf_sumo.report.page.replay import packed, steady, stepwise
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.statistics import rate
+from deepmf_sumo.scene import Lane, RoadMap
 
 from tests.support import worth_doubles
 from tests.support.result_folders import Folder

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo.datatypes import Contact, Lane, RoadMap
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.report.drawing import junctions
 from deepmf_sumo.report.picture import draw, happened
+from deepmf_sumo.scene import Contact, Lane, RoadMap
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of

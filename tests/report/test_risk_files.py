@@ -9,15 +9,15 @@ import zlib
 
 import pytest
 
-from deepmf_sumo import risk as risk_module
 from deepmf_sumo import tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.judge.conflict_types import TYPES
-from deepmf_sumo.network import sumo_tools
 from deepmf_sumo.report import page as report_page
 from deepmf_sumo.report import risk as files
 from deepmf_sumo.report.palette import RISK_CLASSES, risk_colour
+from deepmf_sumo.results import risk as risk_module
 from deepmf_sumo.results import stored
+from deepmf_sumo.sumo.network import sumo_tools
 
 from tests.support.risk_doubles import LEFT_IN, Attacks, eastward, straight
 

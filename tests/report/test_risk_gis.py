@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo import risk
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.network import sumo_tools
-from deepmf_sumo.network.sumo_net import read_net
 from deepmf_sumo.report import risk as files
+from deepmf_sumo.results import risk
+from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.network.sumo_net import read_net
 
 from tests.support.risk_doubles import LEFT_IN, NET, Attacks, eastward, straight
 

@@ -7,9 +7,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from deepmf_sumo.moments.moment import Moment
-from deepmf_sumo.moments.promising import POOL, Promising
 from deepmf_sumo.results import statistics
+from deepmf_sumo.study.moments.moment import Moment
+from deepmf_sumo.study.moments.promising import POOL, Promising
 
 
 def moment(edge, turn="left", apart_s=0.5, number=0):

@@ -4,13 +4,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepmf_sumo import gate
 from deepmf_sumo.cli import _risk_screen
-from deepmf_sumo.gate import thresholds
 from deepmf_sumo.judge import ladder
-from deepmf_sumo.results import findings, junit, quantities
+from deepmf_sumo.results import findings, gate, junit, quantities
 from deepmf_sumo.results.findings import DRIVERS, Worth
-from deepmf_sumo.shrink import search
+from deepmf_sumo.results.gate import thresholds
+from deepmf_sumo.study.shrink import search
 
 from tests.support import gate_doubles, worth_doubles
 

@@ -8,12 +8,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import SignalState
 from deepmf_sumo.exporters import openscenario
 from deepmf_sumo.exporters.base import Exportable, signals_of
-from deepmf_sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.report.page.replay import lights
 from deepmf_sumo.results import signals
+from deepmf_sumo.scene import SignalState
+from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
 
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 

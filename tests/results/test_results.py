@@ -10,7 +10,12 @@ import pandas as pd
 import pytest
 
 from deepmf_sumo import files, spec
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import OutputError
+from deepmf_sumo.report import table
+from deepmf_sumo.results import artifacts, junit, result
+from deepmf_sumo.results import folder as folder_module
+from deepmf_sumo.results.tracks import TRACK_COLUMNS, write_tracks
+from deepmf_sumo.scene import (
     Attack,
     Forecast,
     Futures,
@@ -20,13 +25,8 @@ from deepmf_sumo.datatypes import (
     PlanReason,
     Trial,
 )
-from deepmf_sumo.errors import OutputError
-from deepmf_sumo.report import table
-from deepmf_sumo.results import artifacts, junit, result
-from deepmf_sumo.results import folder as folder_module
-from deepmf_sumo.results.tracks import TRACK_COLUMNS, write_tracks
-from deepmf_sumo.sweep import episode
-from deepmf_sumo.tasks import Task
+from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.study.sweep import episode
 
 from tests.support import same_bytes, tiny_network
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight

@@ -5,12 +5,12 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from deepmf_sumo import files, gate
+from deepmf_sumo import files
 from deepmf_sumo.cli.show import command as show
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.gate import verdict
 from deepmf_sumo.report import page
-from deepmf_sumo.results import sessions
+from deepmf_sumo.results import gate, sessions
+from deepmf_sumo.results.gate import verdict
 
 from tests.support import gate_doubles
 from tests.support.result_folders import Folder

@@ -12,8 +12,8 @@ from deepmf_sumo.report.comparison import groups
 from deepmf_sumo.report.page import document
 from deepmf_sumo.results import run_sets, stored
 from deepmf_sumo.results.result import COLUMNS
-from deepmf_sumo.sweep import shards
-from deepmf_sumo.tasks import is_run_id, run_id_of
+from deepmf_sumo.spec.tasks import is_run_id, run_id_of
+from deepmf_sumo.study.sweep import shards
 
 from tests.support import gate_doubles
 

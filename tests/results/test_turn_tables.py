@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from deepmf_sumo import spec
-from deepmf_sumo.datatypes import Attack, MetricValue, Turn, TurnRules
 from deepmf_sumo.results import result
-from deepmf_sumo.tasks import Task
+from deepmf_sumo.scene import Attack, MetricValue, Turn, TurnRules
+from deepmf_sumo.spec.tasks import Task
 
 from tests.support import tiny_network
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight

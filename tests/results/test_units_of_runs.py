@@ -2,10 +2,10 @@
 
 import pytest
 
-from deepmf_sumo.gate.thresholds import Thresholds, judge
-from deepmf_sumo.plans.tables import row_of
 from deepmf_sumo.results import run_sets
 from deepmf_sumo.results.folder import summary
+from deepmf_sumo.results.gate.thresholds import Thresholds, judge
+from deepmf_sumo.study.plans.tables import row_of
 
 from tests.support import gate_doubles
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from deepmf_sumo.datatypes import RoadMap, SignalState, Tracks, View
-from deepmf_sumo.geometry import boxes, polylines
+from deepmf_sumo.scene import RoadMap, SignalState, Tracks, View
+from deepmf_sumo.scene.geometry import boxes, polylines
 
 from tests.support.simulated_worlds import CAR, lane
 

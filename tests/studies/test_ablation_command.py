@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from deepmf_sumo.readers import npz
+from deepmf_sumo.scene.readers import npz
 from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
 from studies.ablation.__main__ import main

@@ -3,8 +3,8 @@
 import pytest
 import yaml
 
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import SpecError
-from deepmf_sumo.predictors.config import LIGHT
 from studies import ablation
 
 PLAN = """version: 1

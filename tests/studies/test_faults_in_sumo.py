@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation import network_case, simulate
 from studies.planner_faults.faults import Faulty, Settings
 
 from tests.support import crossing_network, tiny_network

@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 from deepmf_sumo import plugins
-from deepmf_sumo.network.sumo_net import read_net, waiting_ways
-from deepmf_sumo.network.sumo_road import road_of_net
-from deepmf_sumo.risk.attacks import Attacked, Network
-from deepmf_sumo.risk.places import Spot, read
+from deepmf_sumo.results.risk.attacks import Attacked, Network
+from deepmf_sumo.results.risk.places import Spot, read
+from deepmf_sumo.sumo.network.sumo_net import read_net, waiting_ways
+from deepmf_sumo.sumo.network.sumo_road import road_of_net
 
 FOLDER = Path(__file__).resolve().parents[2] / "studies" / "hazards"
 

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Command, Driver
-from deepmf_sumo.simulation.frame import Pose
+from deepmf_sumo.scene import Command, Driver
+from deepmf_sumo.sumo.simulation.frame import Pose
 from studies.metadrive.world import MetaDriveWorld, from_now, written
 
 from tests.support import rollout_doubles, synthetic

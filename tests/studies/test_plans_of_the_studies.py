@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo import plans, readers
-from deepmf_sumo.plans import entries
+from deepmf_sumo.scene import readers
+from deepmf_sumo.study import plans
+from deepmf_sumo.study.plans import entries
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 PLANS = [path for path in sorted(STUDIES.glob("*.yaml")) if plans.is_plan(path)]

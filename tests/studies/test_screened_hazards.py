@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo.screening import GUIDELINES, screen
+from deepmf_sumo.roadcheck.screening import GUIDELINES, screen
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from deepmf_sumo import api
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.study.sweep import workers
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 

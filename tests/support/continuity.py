@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Driver, Rollout, Tracks
-from deepmf_sumo.datatypes.agent_ids import whole_of
-from deepmf_sumo.simulation.recorder import EpisodeRecord
+from deepmf_sumo.scene import Driver, Rollout, Tracks
+from deepmf_sumo.scene.agent_ids import whole_of
+from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord
 
 DT_S = 0.1
 FASTER = 1.15

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Plan, RoadMap
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.scene import DT_S, Plan, RoadMap
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of
 

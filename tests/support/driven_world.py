@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepmf_sumo.geometry import boxes
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import view_of

@@ -16,13 +16,13 @@ from typing import Any
 
 import pytest
 
-from deepmf_sumo.sweep import workers
+from deepmf_sumo.study.sweep import workers
 
 from tests.support import started_programs
 
 LOADED = [
-    "deepmf_sumo.sweep.episode", "deepmf_sumo.adversaries.deepmf",
-    "deepmf_sumo.predictors.torch_networks",
+    "deepmf_sumo.study.sweep.episode", "deepmf_sumo.attacks.deepmf",
+    "deepmf_sumo.deepmf.networks.torch_networks",
     "deepmf_sumo.report.picture", "libsumo", "scipy.optimize",
 ]  # fmt: skip
 

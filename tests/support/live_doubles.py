@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import sumo
 
-from deepmf_sumo.datatypes import Plan, TurnRules
 from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.engagement import Scenery, Surroundings
 from deepmf_sumo.live.observer import Observer
 from deepmf_sumo.live.session import Session
 from deepmf_sumo.live.triggers import Trigger
+from deepmf_sumo.scene import Plan, TurnRules
 
 OPTIONS = ("--no-step-log", "--no-warnings", "--collision.action", "none")
 

@@ -1,6 +1,6 @@
 """What drives an opponent in live attacks, without networks."""
 
-from deepmf_sumo.datatypes import Plan
+from deepmf_sumo.scene import Plan
 
 
 class Keep:

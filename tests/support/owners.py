@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Owner:
-    """Takes every agent, or none; see `simulation.ownership.NextOwner`."""
+    """Takes every agent, or none; see `sumo.simulation.ownership.NextOwner`."""
 
     taking: bool = True
     creep: float = 0.0

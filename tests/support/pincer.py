@@ -3,8 +3,8 @@
 import numpy as np
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Attack, Plan
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.scene import Attack, Plan
+from deepmf_sumo.scene.geometry import frames
 
 REACH_M = 40.0
 ASIDE_M = 1.5

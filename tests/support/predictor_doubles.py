@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     DT_S,
     FUTURE_STEPS,
     HISTORY_STEPS,

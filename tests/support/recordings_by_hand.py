@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from deepmf_sumo.readers import _tfrecord
-from deepmf_sumo.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.scene.readers import _tfrecord
+from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 AV_SIZE = (5.286, 2.332, 2.33)
 

@@ -7,7 +7,9 @@ import numpy as np
 import yaml
 
 from deepmf_sumo import files, spec
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.results import artifacts, result
+from deepmf_sumo.results.tracks import write_tracks
+from deepmf_sumo.scene import (
     Attack,
     Forecast,
     Futures,
@@ -16,10 +18,8 @@ from deepmf_sumo.datatypes import (
     Plan,
     PlanReason,
 )
-from deepmf_sumo.readers import npz
-from deepmf_sumo.results import artifacts, result
-from deepmf_sumo.results.tracks import write_tracks
-from deepmf_sumo.tasks import Label, Task
+from deepmf_sumo.scene.readers import npz
+from deepmf_sumo.spec.tasks import Label, Task
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deepmf_sumo.results.tracks import TRACK_COLUMNS
-from deepmf_sumo.tasks import slug
+from deepmf_sumo.spec.tasks import slug
 
 from tests.support import worth_doubles
 

@@ -4,7 +4,7 @@ Who rides is asked of the vehicles here, and of the persons in the product.
 """
 
 from deepmf_sumo.live.observer import Observer
-from deepmf_sumo.simulation.road_users import TrafficReader
+from deepmf_sumo.sumo.simulation.road_users import TrafficReader
 
 
 def use(patch) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     DT_S,
     Contact,
     Driver,

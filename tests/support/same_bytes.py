@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo.plans.tables import TIMINGS as TABLE_TIMINGS
 from deepmf_sumo.results.result import TIMINGS
+from deepmf_sumo.study.plans.tables import TIMINGS as TABLE_TIMINGS
 
 IGNORED: Final = {"log.txt", "report.html", "table.md", "table.tex"}
 """Files that tell of the machine; the readable tables are those of the CSV files, with times."""

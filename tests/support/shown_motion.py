@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from deepmf_sumo.simulation.shown_motion import ShownMotion, read_pose
-from deepmf_sumo.simulation.sumo_api import STEP_OPTIONS, running
+from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion, read_pose
+from deepmf_sumo.sumo.simulation.sumo_api import STEP_OPTIONS, running
 
 AT_ONCE = ("--lanechange.duration", "0", "--lateral-resolution", "0")
 _CHANGE_S = 0.05, 3.05

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepmf_sumo import network
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     Lane,
     Neighbour,
     RecordedCase,
@@ -17,6 +16,7 @@ from deepmf_sumo.datatypes import (
     StopSign,
     Tracks,
 )
+from deepmf_sumo.sumo import network
 
 LANE_M = 3.2
 STEPS = 91

@@ -7,8 +7,8 @@ from pathlib import Path
 import libsumo
 import numpy as np
 
-from deepmf_sumo.network.sumo_road import road_of_net, signal_links
-from deepmf_sumo.simulation.observation import LiveSignals
+from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
+from deepmf_sumo.sumo.simulation.observation import LiveSignals
 
 CLASSES = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 LETTERS = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     Lane,
     Polygon,
     Polyline,
@@ -124,7 +124,7 @@ def rotated(road, rotation):
 
 def view(given=None, step=10):
     """What a policy sees of the scene at a step."""
-    from deepmf_sumo.datatypes import View
+    from deepmf_sumo.scene import View
 
     given = given or scene()
     return View(

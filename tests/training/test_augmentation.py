@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.vgg import repack, unpack
+from deepmf_sumo.deepmf.networks.config import LIGHT
+from deepmf_sumo.deepmf.networks.vgg import repack, unpack
 from deepmf_sumo.training.networks import trajectory
 from deepmf_sumo.training.samples.trajectory import trajectory_samples
 

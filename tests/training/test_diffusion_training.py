@@ -8,12 +8,12 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from deepmf_sumo import readers
+from deepmf_sumo.baselines.priors import reading
+from deepmf_sumo.baselines.priors.diffscene import COMPONENTS, DiffusionPrior
 from deepmf_sumo.cli.train import command
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors import torch_networks
-from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.motion_priors.diffscene import COMPONENTS, DiffusionPrior
+from deepmf_sumo.scene import readers
 from deepmf_sumo.training.networks import diffscene
 from deepmf_sumo.training.samples import graph
 
@@ -129,9 +129,9 @@ def test_the_command_trains_and_writes(monkeypatch, tmp_path):
     assert "diffscene: best step" in done.output
     card = json.loads((tmp_path / "set" / "diffscene.json").read_text())
     assert card["held_out_errors_m"]["vehicles"] > 0
-    before = torch_networks.diffusion_prior(tmp_path / "set").basis
+    before = reading.diffusion_prior(tmp_path / "set").basis
     assert before.abs().max() > 0
     again = [*line[:3], "--out", str(tmp_path / "again"), *line[5:], "--seed", "7"]
     CliRunner().invoke(command, [*again, "--from", str(tmp_path / "set")], catch_exceptions=False)
-    after = torch_networks.diffusion_prior(tmp_path / "again").basis
+    after = reading.diffusion_prior(tmp_path / "again").basis
     torch.testing.assert_close(after, before)  # layers that were trained know these components

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from deepmf_sumo import readers
+from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import OutputError, RunError
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.scene import readers
 from deepmf_sumo.training import cards, initial_weights, members, run
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import checkpoints, loop

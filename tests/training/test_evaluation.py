@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from deepmf_sumo import readers
 from deepmf_sumo.cli.evaluate import command
-from deepmf_sumo.datatypes import Forecast, Futures, OpponentScores, Source
+from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import OutputError, ReaderError
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.scene import Forecast, Futures, OpponentScores, Source, readers
+from deepmf_sumo.scene.readers.base import Refusal
 from deepmf_sumo.training import cards, evaluation
 from deepmf_sumo.training.evaluation.measures import error_if_right
 from deepmf_sumo.training.networks import clusters

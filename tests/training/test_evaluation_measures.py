@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.datatypes import Forecast, Futures
+from deepmf_sumo.scene import Forecast, Futures
 from deepmf_sumo.training.evaluation import forecasts, marginal, measures, opponent
 from deepmf_sumo.training.evaluation.forecasts import targets
 from deepmf_sumo.training.evaluation.measures import (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
-from deepmf_sumo.readers import npz
+from deepmf_sumo.scene.readers import npz
 from deepmf_sumo.training.samples import feature_cache
 from deepmf_sumo.training.samples.feature_cache import Data, Features
 

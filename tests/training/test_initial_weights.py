@@ -4,9 +4,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from deepmf_sumo.deepmf.networks import torch_networks
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import WeightsError
-from deepmf_sumo.predictors import torch_networks
-from deepmf_sumo.predictors.config import LIGHT
 from deepmf_sumo.training import cards, initial_weights
 
 SMALL = replace(LIGHT, name="small", hidden=16, vgg_widths=(4, 4, 4, 4, 4))

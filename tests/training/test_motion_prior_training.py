@@ -8,12 +8,12 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from deepmf_sumo import readers
+from deepmf_sumo.baselines.priors import reading
+from deepmf_sumo.baselines.priors.strive import MotionPrior
 from deepmf_sumo.cli.train import command
-from deepmf_sumo.datatypes import ROLLOUT, SIMULATED
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import LIGHT
-from deepmf_sumo.predictors.motion_priors.strive import MotionPrior
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks.config import LIGHT
+from deepmf_sumo.scene import ROLLOUT, SIMULATED, readers
 from deepmf_sumo.training.networks import strive
 from deepmf_sumo.training.samples import graph
 
@@ -116,7 +116,7 @@ def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_pat
     assert card["network"] == "strive"
     assert card["held_out_errors_m"]["vehicles"] > 0
     assert not list((tmp_path / "set").glob("*.checkpoint*"))
-    assert isinstance(torch_networks.motion_prior(tmp_path / "set"), MotionPrior)
+    assert isinstance(reading.motion_prior(tmp_path / "set"), MotionPrior)
     done = CliRunner().invoke(command, line, catch_exceptions=False)
     assert "this training is complete" in done.output
 

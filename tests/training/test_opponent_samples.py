@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.predictors import torch_networks
-from deepmf_sumo.predictors.config import LIGHT
+from deepmf_sumo.deepmf.networks import torch_networks
+from deepmf_sumo.deepmf.networks.config import LIGHT
+from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.training.networks import opponent
 from deepmf_sumo.training.samples import opponent as opponent_samples
 

@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.predictors import torch_networks
+from deepmf_sumo.deepmf.networks import torch_networks
 
 from tests.support import recordings_by_hand as by_hand
 

@@ -6,13 +6,12 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from deepmf_sumo import readers
 from deepmf_sumo.cli.train import command
-from deepmf_sumo.datatypes import ROLLOUT
+from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks.config import LIGHT, PAPER, UNPAIRED
 from deepmf_sumo.errors import OutputError, RunError, UsageError, WeightsError
-from deepmf_sumo.predictors import torch_networks, weights
-from deepmf_sumo.predictors.config import LIGHT, PAPER, UNPAIRED
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.scene import ROLLOUT, readers
+from deepmf_sumo.scene.readers.base import Refusal
 from deepmf_sumo.training import run
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop

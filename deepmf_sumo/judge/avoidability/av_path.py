@@ -5,7 +5,7 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     Bools,
     Case,
     Floats,
@@ -16,9 +16,9 @@ from deepmf_sumo.datatypes import (
     Rollout,
     frozen,
 )
-from deepmf_sumo.geometry import frames, polylines, road
-from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
-from deepmf_sumo.geometry.lane_map import MARGIN_M
+from deepmf_sumo.scene.geometry import frames, polylines, road
+from deepmf_sumo.scene.geometry.ground import ground_of, on_nearest_level
+from deepmf_sumo.scene.geometry.lane_map import MARGIN_M
 
 BEHIND_M: Final = 100.0
 AHEAD_M: Final = 400.0

@@ -11,9 +11,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats
-from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S, JERK_MPS3, CompetentCareful
+from deepmf_sumo.scene import Bools, Floats
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 
 BRAKES_MPS2: Final = 1.0
 """A smaller deceleration is not a reaction: it comes from a lifted foot or a bend."""

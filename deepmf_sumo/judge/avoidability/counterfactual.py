@@ -6,7 +6,7 @@ same grade, whichever method drove it. In order of preference:
 
 - ``log``: the recording, where it drives all vehicles but the AV. It does not react, so no planner
   of the AV changes it, and nothing has to be simulated.
-- ``episode``: the same episode without an attack (`datatypes.Case.unattacked`), where SUMO drives.
+- ``episode``: the same episode without an attack (`scene.Case.unattacked`), where SUMO drives.
 - ``lane``: the vehicle goes on along its lane at the speed that it had. For attacks whose episode
   cannot be repeated: in a simulation that another program steps, with an AV that a learner drives,
   and after an earlier attack of the same episode that has changed the world.
@@ -18,7 +18,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     AgentId,
     Bools,
     Case,
@@ -29,9 +29,9 @@ from deepmf_sumo.datatypes import (
     Rollout,
     Tracks,
 )
-from deepmf_sumo.datatypes._arrays import Frozen
-from deepmf_sumo.geometry import frames, polylines, road
-from deepmf_sumo.geometry.ground import ground_of, on_nearest_level
+from deepmf_sumo.scene._arrays import Frozen
+from deepmf_sumo.scene.geometry import frames, polylines, road
+from deepmf_sumo.scene.geometry.ground import ground_of, on_nearest_level
 
 By = Literal["log", "episode", "lane", "prediction"]
 """What a counterfactual rests on. ``prediction``: only in results of earlier versions."""

@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Case, Contact, Floats, Ints, RecordedCase, Rollout, Tracks
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.geometry.ground import clear, off_level
 from deepmf_sumo.judge.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach
+from deepmf_sumo.scene import Bools, Case, Contact, Floats, Ints, RecordedCase, Rollout, Tracks
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry.ground import clear, off_level
 
 AFTER_S: Final = 4.0
 """Time after the contact in which no other contact may happen: by then a car has stopped."""

@@ -18,9 +18,6 @@ from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Case, Contact, Floats, Ints, Rollout
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.judge.avoidability import manoeuvres, reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, State, keeps_lane, stays_on_road
 from deepmf_sumo.judge.avoidability.encounter import (
@@ -33,6 +30,9 @@ from deepmf_sumo.judge.avoidability.encounter import (
     third_parties_of,
 )
 from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach
+from deepmf_sumo.scene import AgentId, Bools, Case, Contact, Floats, Ints, Rollout
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 Grade = Literal["no driver", "emergency manoeuvre", "some drivers", "all drivers"]
 GRADES: Final[tuple[Grade, ...]] = get_args(Grade)

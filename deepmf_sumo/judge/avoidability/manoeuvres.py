@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats
 from deepmf_sumo.judge.avoidability.av_path import AvPath
+from deepmf_sumo.scene import Bools, Floats
 
 GRIP_MPS2: Final = 8.0
 LATERAL_MPS2: Final = 6.0

@@ -21,10 +21,10 @@ from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, frozen
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.geometry.slow import STANDING_MPS
 from deepmf_sumo.judge.avoidability.av_path import AvPath
+from deepmf_sumo.scene import Bools, Floats, Ints, frozen
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 JERK_MPS3: Final = 12.65
 DELAY_S: Final = 0.75

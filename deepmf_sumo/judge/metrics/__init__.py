@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Case, MetricValue, Rollout
+from deepmf_sumo.scene import Case, MetricValue, Rollout
 
 Better = Literal["lower", "higher", "neither"]
 """Which values are better for the attacker."""

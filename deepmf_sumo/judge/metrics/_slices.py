@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
+from deepmf_sumo.judge.metrics import NotMeasurable
+from deepmf_sumo.scene import (
     AgentId,
     Bools,
     Case,
@@ -17,10 +19,8 @@ from deepmf_sumo.datatypes import (
     Floats,
     Rollout,
 )
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.slow import DIRECTION_MPS
-from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
-from deepmf_sumo.judge.metrics import NotMeasurable
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
 
 NO_OPPONENT = "no vehicle was attacked"
 NEVER_DRIVEN = "the policy never drove the opponent"

@@ -4,11 +4,11 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, Rollout, SignalState
-from deepmf_sumo.datatypes.signals import GOES, HALTS
-from deepmf_sumo.geometry import frames, polylines
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, once
-from deepmf_sumo.network.matching import match
+from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, SignalState
+from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.signals import GOES, HALTS
+from deepmf_sumo.sumo.network.matching import match
 
 CEILING_MPS2: Final = 10.0
 """Of braking: no car brakes harder."""

@@ -8,8 +8,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats, RecordedCase
-from deepmf_sumo.geometry import frames, road
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import CEILING_MPS2, driven_steps
 from deepmf_sumo.judge.metrics.conflict import (
@@ -18,6 +16,8 @@ from deepmf_sumo.judge.metrics.conflict import (
     slowing,
     time_to_collision,
 )
+from deepmf_sumo.scene import Floats, RecordedCase
+from deepmf_sumo.scene.geometry import frames, road
 
 CEILING_S: Final = 10.0
 """Of times: what is farther in the future says nothing about the driving."""

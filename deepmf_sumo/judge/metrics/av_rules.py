@@ -8,12 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, RoadMap, Rollout
-from deepmf_sumo.datatypes.signals import FORBIDS
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.lane_map import MARGIN_M
-from deepmf_sumo.geometry.road import lanes_for_cars
-from deepmf_sumo.geometry.slow import WAITING_MPS
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import (
     CEILING_MPS2,
@@ -30,6 +24,12 @@ from deepmf_sumo.judge.metrics.conflict import (
     slowing,
     time_to_collision,
 )
+from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.lane_map import MARGIN_M
+from deepmf_sumo.scene.geometry.road import lanes_for_cars
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
+from deepmf_sumo.scene.signals import FORBIDS
 
 MONITORS: Final = (
     "av_over_limit",

@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.geometry import frames
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES, accident_type_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric
+from deepmf_sumo.scene.geometry import frames
 
 _LEAST_MPS: Final = 1e-6
 

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, Bools, Floats, Ints, Rollout, Tracks
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.geometry.ground import CLEARANCE_M, clear, distance_m
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric, once
+from deepmf_sumo.scene import DT_S, Bools, Floats, Ints, Rollout, Tracks
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear, distance_m
 
 NEVER_TOGETHER = "AV and opponent were never present at the same time"
 REACTION_S = 1.0

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric, once
+from deepmf_sumo.scene import (
     Bools,
     Case,
     Floats,
@@ -13,10 +14,9 @@ from deepmf_sumo.datatypes import (
     Rollout,
     SignalState,
 )
-from deepmf_sumo.datatypes.signals import FORBIDS, HALTS
-from deepmf_sumo.geometry import frames, polylines, road
-from deepmf_sumo.geometry.lane_map import WIDTH_M
-from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric, once
+from deepmf_sumo.scene.geometry import frames, polylines, road
+from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene.signals import FORBIDS, HALTS
 
 _ALONG_MPS2, _ACROSS_MPS2 = 8.0, 5.0
 _CURVATURE, _TURN_NOISE_RAD = 0.3, 0.1  # turning circles are at least 3.3 m in radius

@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, Rollout
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.ground import CLEARANCE_M, clear
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric
+from deepmf_sumo.scene import Bools, Floats, Ints, Rollout
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear
 
 _PATH_STEPS: Final = 2
 _STANDING_M = 0.05

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Case, Floats, RecordedCase, Rollout
-from deepmf_sumo.geometry import polylines
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric, once
+from deepmf_sumo.scene import Case, Floats, RecordedCase, Rollout
+from deepmf_sumo.scene.geometry import polylines
 
 WINDOW = 11
 _ORDER = 2

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats, Ints, PlanReason, Rollout
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric
+from deepmf_sumo.scene import Floats, Ints, PlanReason, Rollout
 
 _BLIND = "the planner follows no vehicle, or does not report which"
 _NO_REASONS = "the policy does not report its candidates"

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.judge.metrics import naturalness
 from deepmf_sumo.judge.metrics.naturalness import Samples
+from deepmf_sumo.scene import Floats
 
 BINS = 201
 """Bins of 0.1 m/s2 on [-10.05, 10.05], values outside in the end bins, 1e-10 added per count."""

@@ -14,10 +14,10 @@ from typing import Final, Literal, NamedTuple, get_args
 import numpy as np
 import shapely
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints
-from deepmf_sumo.geometry import boxes, frames
-from deepmf_sumo.geometry.ground import clear
 from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
+from deepmf_sumo.scene import Bools, Floats, Ints
+from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry.ground import clear
 
 SsamType = Literal["rear end", "lane change", "crossing"]
 SSAM_TYPES: Final[tuple[SsamType, ...]] = get_args(SsamType)

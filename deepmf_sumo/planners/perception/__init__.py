@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepmf_sumo.datatypes import AgentId, Bools, Floats, View
-from deepmf_sumo.geometry import boxes, frames, polylines
-from deepmf_sumo.geometry.ground import off_level
+from deepmf_sumo.scene import AgentId, Bools, Floats, View
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.ground import off_level
 
 _SPACING_M = 1.0
 """Spacing of points on a box's outline: well below any corridor's width."""

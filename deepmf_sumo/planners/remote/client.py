@@ -10,7 +10,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 from pydantic import Field, ValidationError
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import PlannerError
+from deepmf_sumo.planners.remote.protocol import COMMAND, COMMANDS, PROTOCOL, Ready
+from deepmf_sumo.plugins import Settings, explain
+from deepmf_sumo.scene import (
     Case,
     Command,
     Lane,
@@ -22,10 +25,7 @@ from deepmf_sumo.datatypes import (
     VehicleModel,
     View,
 )
-from deepmf_sumo.datatypes.scene import DT_S, HISTORY_STEPS
-from deepmf_sumo.errors import PlannerError
-from deepmf_sumo.planners.remote.protocol import COMMAND, COMMANDS, PROTOCOL, Ready
-from deepmf_sumo.plugins import Settings, explain
+from deepmf_sumo.scene.scene import DT_S, HISTORY_STEPS
 
 
 class RemoteSettings(Settings):

@@ -133,7 +133,7 @@ class BoundaryMessage(Message):
 
 
 class LaneMessage(Message):
-    """A lane, as `datatypes.Lane` has it.
+    """A lane, as `scene.Lane` has it.
 
     Attributes:
         centre_m: (P, 2) centre line in driving direction. z_m: (P) its heights.

@@ -21,7 +21,23 @@ import numpy as np
 from pydantic import ValidationError
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.local_http import LocalHandler, LocalServer
+from deepmf_sumo.planners.base import Planner
+from deepmf_sumo.planners.remote.protocol import (
+    NUMBERS,
+    PROTOCOL,
+    QUESTION,
+    BesideMessage,
+    BoundaryMessage,
+    LaneMessage,
+    LineMessage,
+    Points,
+    Reset,
+    RoadMessage,
+    ViewMessage,
+)
+from deepmf_sumo.scene import (
     Boundary,
     Case,
     Command,
@@ -42,22 +58,6 @@ from deepmf_sumo.datatypes import (
     TrafficCase,
     VehicleModel,
     View,
-)
-from deepmf_sumo.errors import DeepmfError, PlannerError
-from deepmf_sumo.local_http import LocalHandler, LocalServer
-from deepmf_sumo.planners.base import Planner
-from deepmf_sumo.planners.remote.protocol import (
-    NUMBERS,
-    PROTOCOL,
-    QUESTION,
-    BesideMessage,
-    BoundaryMessage,
-    LaneMessage,
-    LineMessage,
-    Points,
-    Reset,
-    RoadMessage,
-    ViewMessage,
 )
 
 _LARGEST: Final = 2**28

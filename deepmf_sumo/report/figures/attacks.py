@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deepmf_sumo.datatypes import Rollout
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, scale_of, window_of
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import Rollout
 
 MOST: Final = 8
 FEW: Final = 4

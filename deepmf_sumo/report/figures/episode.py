@@ -10,13 +10,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from deepmf_sumo.datatypes import AgentId, Contact, Floats, Ints, RoadMap, Rollout, Tracks
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.style import Grid
 from deepmf_sumo.report.palette import STAR
 from deepmf_sumo.results.reader import Run
+from deepmf_sumo.scene import AgentId, Contact, Floats, Ints, RoadMap, Rollout, Tracks
+from deepmf_sumo.scene.geometry import boxes
 
 MARGIN_M: Final = 8.0
 SMALLEST_M: Final = 36.0

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from deepmf_sumo.plans.tables import CURVES
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import caption_of
 from deepmf_sumo.report.figures.episode import (
@@ -25,6 +24,7 @@ from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.statistics import Difference, Interval
+from deepmf_sumo.study.plans.tables import CURVES
 from deepmf_sumo.tables import read_csv
 
 COMPARED: Final = 12

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deepmf_sumo.datatypes import OpponentScores, Rollout
 from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
@@ -15,6 +14,7 @@ from deepmf_sumo.report.figures.episode import star
 from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
 from deepmf_sumo.results.artifacts import read_scores
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.scene import OpponentScores, Rollout
 
 MOST: Final = 4
 COLUMNS: Final = 2

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo import files, risk
+from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.report import failures as words
 from deepmf_sumo.report.page import maps
@@ -16,9 +16,9 @@ from deepmf_sumo.report.page.roads import ELEMENTS, Roads
 from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
-from deepmf_sumo.results import sessions, stored
+from deepmf_sumo.results import risk, sessions, stored
 from deepmf_sumo.results.groups import Group, grouped
-from deepmf_sumo.risk import Network, Row
+from deepmf_sumo.results.risk import Network, Row
 from deepmf_sumo.spec.profiles import described, headline
 
 _SCRIPTS: Final = (
@@ -121,7 +121,7 @@ def _weights(pages: Iterable[RunPage]) -> list[str]:
 
 def _licences(name: str) -> list[list[str]] | str:
     """Network, licence and day of training of each of a set's networks; or why not known."""
-    from deepmf_sumo.predictors import weights
+    from deepmf_sumo.deepmf.networks import weights
 
     try:
         folder = weights.find(name)

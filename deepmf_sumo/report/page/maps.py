@@ -6,18 +6,18 @@ from typing import Any, Final
 
 import shapely
 
-from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.network.sumo_net import NetLane
 from deepmf_sumo.report.evidence import HEADINGS, NOTE, row
 from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.results.risk.attacks import Attacked, Network
+from deepmf_sumo.results.risk.coverage import TABLES, Cell, coverage
+from deepmf_sumo.results.risk.kinds import MEANINGS, TypeRow, by_type
+from deepmf_sumo.results.risk.places import KINDS
+from deepmf_sumo.results.risk.table import COUNTED, DEFINITIONS, Row, columns
 from deepmf_sumo.results.statistics import PLACE_CONFIDENCE
-from deepmf_sumo.risk.attacks import Attacked, Network
-from deepmf_sumo.risk.coverage import TABLES, Cell, coverage
-from deepmf_sumo.risk.kinds import MEANINGS, TypeRow, by_type
-from deepmf_sumo.risk.places import KINDS
-from deepmf_sumo.risk.table import COUNTED, DEFINITIONS, Row, columns
+from deepmf_sumo.scene import Floats
+from deepmf_sumo.sumo.network.sumo_net import NetLane
 
 _TOLERANCE_M: Final = 0.1
 _MOST_NEVER: Final = 50

@@ -15,7 +15,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.judge.metrics import NotMeasurable, conflict
+from deepmf_sumo.report.figures.episode import met_at
+from deepmf_sumo.results import stored
+from deepmf_sumo.scene import (
     Bools,
     Contact,
     Driver,
@@ -24,10 +27,7 @@ from deepmf_sumo.datatypes import (
     RoadMap,
     Rollout,
 )
-from deepmf_sumo.datatypes.signals import FORBIDS, GOES, HALTS, STOP_FIRST
-from deepmf_sumo.judge.metrics import NotMeasurable, conflict
-from deepmf_sumo.report.figures.episode import met_at
-from deepmf_sumo.results import stored
+from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS, STOP_FIRST
 
 
 def packed(values: Any) -> str:

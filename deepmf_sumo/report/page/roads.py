@@ -11,14 +11,14 @@ import shapely
 from numpy.typing import NDArray
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import Floats, Lane, RoadMap
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.lane_map import per_road
 from deepmf_sumo.report.drawing import junctions
 from deepmf_sumo.report.page.replay import UNKNOWN_WIDTH_M, packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
+from deepmf_sumo.scene import Floats, Lane, RoadMap
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.lane_map import per_road
 
 AROUND_M: Final = 60.0
 """How much of the road is kept around what AV and opponent drove."""

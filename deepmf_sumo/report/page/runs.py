@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats, RoadMap
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.page.columns import run_row
 from deepmf_sumo.report.page.replay import lights, main_places, packed, reasons, replay
@@ -18,6 +17,7 @@ from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.findings import tried
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.scene import Floats, RoadMap
 
 _LOG_LINES: Final = 40
 _FACTS: Final = (
@@ -31,7 +31,7 @@ _ENDED: Final = {
     "time": "end of the run",
     "other_hit": "another attacker hit the AV",
 }
-"""Names of `datatypes.turn` that do not explain themselves."""
+"""Names of `scene.turn` that do not explain themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +157,7 @@ def _turns(turns: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     gaps = [turn["metrics"].get("min_gap") for turn in turns]
     nearest = min((gap for gap in gaps if gap is not None), default=None)
     hits = [number for number, turn in enumerate(turns) if turn["ended"] == "contact"]
-    # as in `datatypes.rollout.decisive`: the first that hits, else the one that came nearest
+    # as in `scene.rollout.decisive`: the first that hits, else the one that came nearest
     decisive = hits[0] if hits else gaps.index(nearest) if nearest is not None else None
     return [
         {

@@ -5,13 +5,13 @@ from typing import Any, Final
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
-from deepmf_sumo.gate.verdict import difference, figure
 from deepmf_sumo.report.table import SECTORS, counted
 from deepmf_sumo.results.comparison import QuantityChange
+from deepmf_sumo.results.gate.verdict import difference, figure
 from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import RATE
-from deepmf_sumo.risk.comparison import Compared
-from deepmf_sumo.risk.origins import Origin
+from deepmf_sumo.results.risk.comparison import Compared
+from deepmf_sumo.results.risk.origins import Origin
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}

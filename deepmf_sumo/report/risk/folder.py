@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from deepmf_sumo import files, risk, tables
+from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report import evidence
 from deepmf_sumo.report.page.document import map_page
 from deepmf_sumo.report.risk import gis, sumo_files
-from deepmf_sumo.results import stored
+from deepmf_sumo.results import risk, stored
 from deepmf_sumo.results.folder import RISK, forget_map, map_folders
-from deepmf_sumo.risk import Network, Row
+from deepmf_sumo.results.risk import Network, Row
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
@@ -45,7 +45,7 @@ def write(
     Args:
         out: made if it is not there; files of an earlier map are replaced, also where that was of
             other networks. Other files in it stay.
-        networks: of `risk.read`.
+        networks: of `results.risk.read`.
         title: of the page, e.g. the name of the result folder.
         forms: for geographic information systems as well, see `gis`.
 

@@ -15,12 +15,12 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from deepmf_sumo import risk
-from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.risk import geopackage
 from deepmf_sumo.report.risk.sumo_files import areas
-from deepmf_sumo.risk import Network, Row
+from deepmf_sumo.results import risk
+from deepmf_sumo.results.risk import Network, Row
+from deepmf_sumo.scene import Floats
 
 if TYPE_CHECKING:
     import pyproj

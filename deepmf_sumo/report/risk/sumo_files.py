@@ -12,12 +12,12 @@ from xml.etree import ElementTree as ET  # written, never parsed
 import shapely
 
 from deepmf_sumo import tables
-from deepmf_sumo.datatypes import Floats
 from deepmf_sumo.report.page.maps import lanes_of
 from deepmf_sumo.report.palette import Rgb, risk_colour
-from deepmf_sumo.risk.attacks import Network
-from deepmf_sumo.risk.places import Kind
-from deepmf_sumo.risk.table import Row, columns
+from deepmf_sumo.results.risk.attacks import Network
+from deepmf_sumo.results.risk.places import Kind
+from deepmf_sumo.results.risk.table import Row, columns
+from deepmf_sumo.scene import Floats
 
 _WORDS: Final = {"kind", "place", "title", "counted"}
 _END_S: Final = "1000000.00"

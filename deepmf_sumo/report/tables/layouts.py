@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepmf_sumo import plugins
-from deepmf_sumo.plans import tables
-from deepmf_sumo.plans.layout import Layout, read_layout
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.spec import DEFAULT_RULES, VERSIONS
+from deepmf_sumo.study.plans import tables
+from deepmf_sumo.study.plans.layout import Layout, read_layout
 from deepmf_sumo.tables import read_csv
 
 Row = dict[str, str]

@@ -6,11 +6,11 @@ from typing import Final
 
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics.statistics import BINS
-from deepmf_sumo.plans.layout import Layout
-from deepmf_sumo.plans.tables import STATUSES
 from deepmf_sumo.report.tables import layouts
 from deepmf_sumo.report.tables.layouts import Cell, Content, Row, Table
 from deepmf_sumo.results.quantities import COLUMNS, Quantity
+from deepmf_sumo.study.plans.layout import Layout
+from deepmf_sumo.study.plans.tables import STATUSES
 from deepmf_sumo.tables import to_markdown
 
 _RATES: Final = (

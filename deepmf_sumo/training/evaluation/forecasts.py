@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     FUTURE_STEPS,
     ROLLOUT,
     AgentId,
@@ -17,8 +17,8 @@ from deepmf_sumo.datatypes import (
     Scene,
     View,
 )
-from deepmf_sumo.geometry import boxes, road
-from deepmf_sumo.geometry.ground import clear, ground_of
+from deepmf_sumo.scene.geometry import boxes, road
+from deepmf_sumo.scene.geometry.ground import clear, ground_of
 from deepmf_sumo.training.evaluation.measures import HORIZONS, Measured, nearest_modes
 from deepmf_sumo.training.evaluation.table import NETWORK, Samples
 from deepmf_sumo.training.samples import windows

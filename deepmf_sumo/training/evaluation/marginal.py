@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Floats, Forecast
-from deepmf_sumo.geometry import frames, polylines
-from deepmf_sumo.predictors.kinematics import recent_change
-from deepmf_sumo.predictors.lanes import road_index
-from deepmf_sumo.predictors.marginal import Marginal, MarginalPrediction
-from deepmf_sumo.predictors.paths import path_set
+from deepmf_sumo.deepmf.networks.kinematics import recent_change
+from deepmf_sumo.deepmf.networks.lanes import road_index
+from deepmf_sumo.deepmf.networks.marginal import Marginal, MarginalPrediction
+from deepmf_sumo.deepmf.networks.paths import path_set
+from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast
+from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes
 from deepmf_sumo.training.evaluation.measures import (
     STEPS,

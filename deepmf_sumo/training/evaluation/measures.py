@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, Bools, Floats, Forecast
+from deepmf_sumo.scene import FUTURE_STEPS, Bools, Floats, Forecast
 from deepmf_sumo.training.samples.windows import Future
 
 HORIZONS: Final[Mapping[float, tuple[int, float, float]]] = {

@@ -11,10 +11,10 @@ from typing import Final, SupportsInt
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Bools, Floats, Ints, Scene, View
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.geometry.slow import WAITING_MPS
-from deepmf_sumo.predictors.opponent import RANGE_M, Opponent
+from deepmf_sumo.deepmf.networks.opponent import RANGE_M, Opponent
+from deepmf_sumo.scene import Bools, Floats, Ints, Scene, View
+from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from deepmf_sumo.training.evaluation.measures import error_if_right, expected_error, mean
 from deepmf_sumo.training.evaluation.table import ALL, Figure, Figures, Key
 from deepmf_sumo.training.samples.opponent import interacting

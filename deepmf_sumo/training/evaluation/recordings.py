@@ -9,12 +9,11 @@ from typing import Any, Final
 
 import torch
 
-from deepmf_sumo import readers
-from deepmf_sumo.datatypes import ROLLOUT, Scene
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks.weights import Network, Predictors
 from deepmf_sumo.errors import OutputError, ReaderError
-from deepmf_sumo.predictors import weights
-from deepmf_sumo.predictors.weights import Network, Predictors
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.scene import ROLLOUT, Scene, readers
+from deepmf_sumo.scene.readers.base import Refusal
 from deepmf_sumo.training import cards
 from deepmf_sumo.training.evaluation.conditional import (
     MARGINAL,

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
-from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.predictors.weights import Network
+from deepmf_sumo.deepmf.networks.weights import Network
+from deepmf_sumo.scene import Floats
 from deepmf_sumo.training.evaluation.measures import (
     Measured,
     difference,

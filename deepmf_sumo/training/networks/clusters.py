@@ -13,9 +13,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from deepmf_sumo import files
-from deepmf_sumo.datatypes import DT_S, FUTURE_STEPS, Bools, Floats, Ints
+from deepmf_sumo.deepmf.networks.anchors import START_SPEEDS_MPS
 from deepmf_sumo.errors import RunError, WeightsError
-from deepmf_sumo.predictors.anchors import START_SPEEDS_MPS
+from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Bools, Floats, Ints
 from deepmf_sumo.training.fit import checkpoints
 
 FILE: Final = "clusters.safetensors"

@@ -6,14 +6,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors.motion_priors.diffscene import (
+from deepmf_sumo.baselines.priors.diffscene import (
     COMPONENTS,
     KNOTS,
     DiffusionPrior,
     Seen,
     at_constant_speed,
 )
+from deepmf_sumo.errors import RunError
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.samples.dataset import Dataset
 

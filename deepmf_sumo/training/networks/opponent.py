@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.predictors.opponent_net import OpponentNet
+from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.samples.dataset import Dataset
 

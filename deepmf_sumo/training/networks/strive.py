@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepmf_sumo.predictors.motion_priors import costs
-from deepmf_sumo.predictors.motion_priors.bicycle import SUBSTEPS
-from deepmf_sumo.predictors.motion_priors.strive import Context, Gaussian, MotionPrior, Motions
+from deepmf_sumo.baselines.priors import costs
+from deepmf_sumo.baselines.priors.bicycle import SUBSTEPS
+from deepmf_sumo.baselines.priors.strive import Context, Gaussian, MotionPrior, Motions
 from deepmf_sumo.training.fit.loop import Loss, tensors
 from deepmf_sumo.training.samples.dataset import Dataset
 

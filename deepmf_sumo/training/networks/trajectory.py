@@ -14,12 +14,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deepmf_sumo.datatypes import Floats
-from deepmf_sumo.predictors import anchors, conditioning, decoding, goal_grid, marginal, vgg
-from deepmf_sumo.predictors.conditioning import Condition
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
-from deepmf_sumo.predictors.densetnt import DenseTNT, Goals, trimmed
+from deepmf_sumo.deepmf.networks import anchors, conditioning, decoding, goal_grid, marginal, vgg
+from deepmf_sumo.deepmf.networks.conditioning import Condition
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals, trimmed
+from deepmf_sumo.scene import Floats
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.samples.dataset import Dataset

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.predictors.weights import Network
 from deepmf_sumo.training.samples.places import Area, held_out
 
 Arrays = dict[str, NDArray[Any]]

@@ -22,11 +22,10 @@ from typing import Final, Self
 
 import numpy as np
 
-from deepmf_sumo import readers
-from deepmf_sumo.datatypes import Scene
 from deepmf_sumo.errors import OutputError, ReaderError, RunError
 from deepmf_sumo.files import inside, opened
-from deepmf_sumo.readers.base import Refusal
+from deepmf_sumo.scene import Scene, readers
+from deepmf_sumo.scene.readers.base import Refusal
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
 from deepmf_sumo.training.samples.places import Area, area_of
 

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import ROLLOUT, SIMULATED, AgentId, Floats, Scene, View
-from deepmf_sumo.predictors.motion_priors.bicycle import SUBSTEPS
-from deepmf_sumo.predictors.motion_priors.graph import MEMBERS, graph_of, members
+from deepmf_sumo.baselines.priors.bicycle import SUBSTEPS
+from deepmf_sumo.baselines.priors.graph import MEMBERS, graph_of, members
+from deepmf_sumo.scene import ROLLOUT, SIMULATED, AgentId, Floats, Scene, View
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features

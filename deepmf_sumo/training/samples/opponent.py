@@ -13,7 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.opponent import OTHERS, opponent_features
+from deepmf_sumo.scene import (
     HISTORY_STEPS,
     ROLLOUT,
     SIMULATED,
@@ -23,9 +25,7 @@ from deepmf_sumo.datatypes import (
     Tracks,
     View,
 )
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.opponent import OTHERS, opponent_features
+from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features

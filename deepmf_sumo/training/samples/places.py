@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import Scene
+from deepmf_sumo.scene import Scene
 
 APART_M: Final = 100.0
 """Vehicles of two places are never closer."""

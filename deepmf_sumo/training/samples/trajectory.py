@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.datatypes import FUTURE_STEPS, ROLLOUT, SIMULATED, Floats, Scene, View
-from deepmf_sumo.geometry import frames
-from deepmf_sumo.predictors.config import Preset
-from deepmf_sumo.predictors.features import MEANING, features
+from deepmf_sumo.deepmf.networks.config import Preset
+from deepmf_sumo.deepmf.networks.features import MEANING, features
+from deepmf_sumo.scene import FUTURE_STEPS, ROLLOUT, SIMULATED, Floats, Scene, View
+from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features

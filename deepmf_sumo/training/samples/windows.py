@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.datatypes import (
+from deepmf_sumo.scene import (
     FUTURE_STEPS,
     HISTORY_STEPS,
     ROLLOUT,
@@ -18,7 +18,7 @@ from deepmf_sumo.datatypes import (
     Tracks,
     View,
 )
-from deepmf_sumo.geometry import frames
+from deepmf_sumo.scene.geometry import frames
 
 MIN_FUTURE_STEPS: Final = 30
 """Targets are known for at least 3 s."""

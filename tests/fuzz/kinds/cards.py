@@ -6,7 +6,8 @@ import shutil
 from pathlib import Path
 
 import deepmf_sumo
-from deepmf_sumo.predictors import torch_networks, weights
+from deepmf_sumo.baselines.priors import reading
+from deepmf_sumo.deepmf.networks import weights
 
 from tests.fuzz import mutators, runner
 
@@ -48,8 +49,8 @@ def _text(values: object) -> str:
 
 def _use(folder: Path, out: Path) -> None:
     weights.load(folder)
-    torch_networks.motion_prior(folder)
-    torch_networks.diffusion_prior(folder)
+    reading.motion_prior(folder)
+    reading.diffusion_prior(folder)
     weights.unchecked(folder)
 
 

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from deepmf_sumo import plugins, readers
+from deepmf_sumo import plugins
 from deepmf_sumo.cli import data, main  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.readers import _tfrecord, npz, read_by, womd
-from deepmf_sumo.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.scene import readers
+from deepmf_sumo.scene.readers import _tfrecord, npz, read_by, womd
+from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 from tests.fuzz import mutators, runner
 from tests.support import recordings_by_hand as by_hand

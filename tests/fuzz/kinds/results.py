@@ -14,8 +14,8 @@ from deepmf_sumo.cli import check, compare, merge, report, risk, show  # noqa: F
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.folder import Store
-from deepmf_sumo.sweep import batch
-from deepmf_sumo.sweep.shards import Shard
+from deepmf_sumo.study.sweep import batch
+from deepmf_sumo.study.sweep.shards import Shard
 
 from tests.fuzz import mutators, runner
 from tests.support import tiny_network

@@ -6,8 +6,9 @@ from typing import Any
 
 import yaml
 
-from deepmf_sumo import spec, tasks
-from deepmf_sumo.sweep.inputs import fingerprinted
+from deepmf_sumo import spec
+from deepmf_sumo.spec import tasks
+from deepmf_sumo.study.sweep.inputs import fingerprinted
 
 from tests.fuzz import mutators, runner
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Budget, Forecast, Futures, Plan, PlanReason, RoadMap
 from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.avoidability import grading
 from deepmf_sumo.judge.avoidability.counterfactual import counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_step
+from deepmf_sumo.scene import Budget, Forecast, Futures, Plan, PlanReason, RoadMap
 
-from tests.policies.test_every_policy import NEEDED
+from tests.attacks.policies.test_every_policy import NEEDED
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack
 from tests.support.driven_world import World
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight, tracks_of

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo import readers
-from deepmf_sumo.datatypes import Scene
-from deepmf_sumo.geometry import polylines
 from deepmf_sumo.judge.avoidability import av_path, grading, reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import counterfactual
 from deepmf_sumo.judge.avoidability.encounter import AFTER_S, encounter_of
+from deepmf_sumo.scene import Scene, readers
+from deepmf_sumo.scene.geometry import polylines
 
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
 from tests.support.rollout_doubles import straight

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES, accident_type_of
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
-from deepmf_sumo.geometry.road import limit_mps
 from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.scene import Lane, RoadMap, SignalState
+from deepmf_sumo.scene.geometry.road import limit_mps
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 

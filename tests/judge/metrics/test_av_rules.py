@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Lane, RoadMap, SignalState
 from deepmf_sumo.judge.metrics import own
 from deepmf_sumo.judge.metrics.av_rules import MONITORS
+from deepmf_sumo.scene import Lane, RoadMap, SignalState
 
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 

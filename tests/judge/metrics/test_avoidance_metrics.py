@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Driver
+from deepmf_sumo.scene import Driver
 
 from tests.support.drawn_attacks import attack, cut_in
 from tests.support.rollout_doubles import contact_of, straight

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.geometry import boxes
-from deepmf_sumo.geometry.road import on_road
 from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
+from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.scene.geometry.road import on_road
 
 from tests.support.predictor_doubles import straight_road
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.metrics import conflict
 from deepmf_sumo.judge.metrics.conflict import Moving, braking_to_stay_behind, time_to_collision
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 

@@ -6,9 +6,9 @@ import scipy.spatial.distance
 import scipy.stats
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Driver, Plan
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.judge.metrics import _slices, naturalness
+from deepmf_sumo.scene import Driver, Plan
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of

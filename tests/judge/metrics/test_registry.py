@@ -5,11 +5,11 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import MetricValue
 from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.avoidability import grading
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict, naturalness
 from deepmf_sumo.report.tables import text
+from deepmf_sumo.scene import MetricValue
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Lane, RoadMap, Signals, SignalState, TrafficCase
-from deepmf_sumo.geometry.road import against_traffic, on_road
+from deepmf_sumo.scene import Lane, RoadMap, Signals, SignalState, TrafficCase
+from deepmf_sumo.scene.geometry.road import against_traffic, on_road
 
 from tests.support.rollout_doubles import case_of, rollout_of, straight
 

@@ -14,8 +14,8 @@ import sumo
 
 from deepmf_sumo.judge.metrics import conflict, traffic_conflicts
 from deepmf_sumo.planners import sumo as sumo_planner
-from deepmf_sumo.simulation import network_case, simulate
-from deepmf_sumo.simulation.motion_survey import Survey, survey
+from deepmf_sumo.roadcheck.motion_survey import Survey, survey
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 pytestmark = pytest.mark.sumo
 

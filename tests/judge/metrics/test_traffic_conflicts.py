@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo.geometry import boxes
 from deepmf_sumo.judge.metrics.traffic_conflicts import (
     CUT_OFF,
     NOT_SHARED,
@@ -16,7 +15,8 @@ from deepmf_sumo.judge.metrics.traffic_conflicts import (
     courses,
     find,
 )
-from deepmf_sumo.simulation.motion_survey import Survey, survey
+from deepmf_sumo.roadcheck.motion_survey import Survey, survey
+from deepmf_sumo.scene.geometry import boxes
 
 CAR = 4.0, 2.0
 FOUR_WAY = Path(__file__).resolve().parents[3] / "sumo_nets" / "four_way" / "four_way.sumocfg"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.datatypes import Contact
 from deepmf_sumo.deepmf import policy
+from deepmf_sumo.scene import Contact
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of

@@ -1,1 +1,0 @@
-"""How an attack is found. One file an adversary; `base.Adversary` is the contract."""

@@ -1,0 +1,31 @@
+"""A fixed trajectory: replays a known attack."""
+
+import numpy as np
+
+from deepmf_sumo.attacks.base import Simulate
+from deepmf_sumo.attacks.policies import trajectory
+from deepmf_sumo.scene import Attack, Budget, Case
+
+Settings = trajectory.Settings
+
+
+class Trajectory:
+    """One episode under the fixed trajectory."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._policy = trajectory.build(settings)
+
+    def attack(
+        self,
+        case: Case,
+        simulate: Simulate,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> Attack:
+        """The episode."""
+        return Attack(rollout=simulate(self._policy), simulations=1, generation_s=0.0)
+
+
+def build(settings: Settings, weights: str) -> Trajectory:
+    """The adversary. Raises PluginError if the trajectory's file cannot be used."""
+    return Trajectory(settings)

@@ -1,0 +1,14 @@
+"""A result folder as a gate of continuous integration: thresholds, a baseline, and a verdict.
+
+::
+
+    OUT --frame--> numbers a run --limits--> judgements ---+
+                                --comparison--> changes --+--verdict--> exit code, JUnit, Markdown
+"""
+
+from deepmf_sumo.results.gate.own_hits import SameAttacks
+from deepmf_sumo.results.gate.thresholds import Thresholds, load
+from deepmf_sumo.results.gate.verdict import Verdict, check
+from deepmf_sumo.results.run_sets import read
+
+__all__ = ["SameAttacks", "Thresholds", "Verdict", "check", "load", "read"]

@@ -1,0 +1,30 @@
+"""Where on a SUMO network the AV is in danger, and what changes from one result to another.
+
+::
+
+    OUT/runs --attacks--> attacks, each with its place --table--> one row per place, the worst first
+                            places: lanes, edges, junctions, movements
+"""
+
+from deepmf_sumo.results.risk.attack_table import ATTACKED, attack_rows
+from deepmf_sumo.results.risk.attacks import Attacked, Conflict, Network, conflicts, read
+from deepmf_sumo.results.risk.coverage import Cell, coverage
+from deepmf_sumo.results.risk.kinds import by_type
+from deepmf_sumo.results.risk.table import Row, columns, rows, worst
+
+__all__ = [
+    "ATTACKED",
+    "Attacked",
+    "Cell",
+    "Conflict",
+    "Network",
+    "Row",
+    "attack_rows",
+    "by_type",
+    "columns",
+    "conflicts",
+    "coverage",
+    "read",
+    "rows",
+    "worst",
+]

@@ -1,0 +1,10 @@
+"""Changes to a SUMO network that could make it safer, e.g. a longer yellow, and the network built.
+
+`document` reads the file of changes, `signals` changes signal programs, `building` writes the
+configurations with and without the changes, and the patch for netconvert and netedit.
+"""
+
+from deepmf_sumo.roadcheck.countermeasures.building import Built, build
+from deepmf_sumo.roadcheck.countermeasures.document import Change, load
+
+__all__ = ["Built", "Change", "build", "load"]

@@ -1,0 +1,296 @@
+"""Changes of a signal program: yellow, all-red, and left turns with a green of their own.
+
+A program is a cycle of phases; each has a duration and one letter for each link (``G``, ``g``:
+green, ``y``, ``Y``: yellow, the rest: none of both), as in SUMO's ``tlLogic``.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.roadcheck.countermeasures.document import Change
+from deepmf_sumo.scene.signals import GREEN_LETTERS, YELLOW_LETTERS
+
+LEAST_GREEN_S: Final = 5.0
+"""Less is not left of a green that gives time to a change."""
+_TIMES: Final = ("duration", "minDur", "maxDur")
+Foes = Callable[[int, int], bool]
+"""Whether the ways of two links meet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A phase; ``added_s``: on top of the times that its element, if it has one, names."""
+
+    state: str
+    duration_s: float
+    element: ET.Element | None = None
+    added_s: float = 0.0
+
+    def green(self, link: int) -> bool:
+        """Whether a link may go."""
+        return self.state[link] in GREEN_LETTERS
+
+    def longer(self, seconds: float) -> "Phase":
+        """The phase with more time, or with less."""
+        return replace(self, duration_s=self.duration_s + seconds, added_s=self.added_s + seconds)
+
+    def __str__(self) -> str:
+        """``seconds:state``."""
+        return f"{self.duration_s:g}:{self.state}"
+
+
+def changed(
+    name: str, program: ET.Element, change: Change, lefts: Iterable[int], foes: Foes
+) -> tuple[list[Phase], list[Phase]]:
+    """The phases of a program before and after a change.
+
+    Args:
+        name: of the signal, for messages.
+        program: a ``tlLogic``.
+        change: of a signal.
+        lefts: links that turn left.
+        foes: which links meet.
+
+    Raises UsageError where the program is not a plain cycle, or a green is too short.
+    """
+    before = phases(name, program)
+    after = list(before)
+    if change.protected_left_s is not None:
+        after = _protected(name, after, change, lefts, foes)
+    if change.yellow_s is not None:
+        after = _with_yellow(name, after, change.yellow_s, keep=change.cycle == "keep")
+    if change.all_red_s is not None:
+        after = _with_all_red(name, after, change.all_red_s, keep=change.cycle == "keep")
+    return before, after
+
+
+NEMA: Final = "NEMA"
+"""SUMO's controller with two rings of phases: each phase has its yellow and red as attributes, and
+further phases are ignored."""
+
+
+def change_nema(name: str, program: ET.Element, change: Change) -> tuple[str, str]:
+    """Make yellow and red of each phase at least as long as the change says.
+
+    Returns the times before and after, for a message. Raises UsageError for a protected left turn,
+    which needs other rings.
+    """
+    if change.protected_left_s is not None:
+        raise UsageError(
+            f"signal '{name}': program '{program.get('programID')}' is a NEMA controller, whose"
+            " left turns are protected by its rings; change it in netedit."
+        )
+    phases = list(program.iter("phase"))
+    before = _times(phases)
+    for key, least_s in (("yellow", change.yellow_s), ("red", change.all_red_s)):
+        for phase in phases:
+            if least_s is not None and float(phase.get(key, "0")) < least_s:
+                phase.set(key, f"{least_s:g}")
+    return before, _times(phases)
+
+
+def _times(phases: Iterable[ET.Element]) -> str:
+    return " ".join(
+        f"{one.get('name', '')}:{one.get('yellow', '0')}+{one.get('red', '0')}" for one in phases
+    )
+
+
+def phases(name: str, program: ET.Element) -> list[Phase]:
+    """The cycle. Raises UsageError for a program that is not one."""
+    elements = list(program.iter("phase"))
+    kind = program.get("type", "static")
+    if not elements or any(one.get("next") for one in elements):
+        raise UsageError(
+            f"signal '{name}': program '{program.get('programID')}' ({kind}) is not a plain cycle"
+            " of phases, which is what can be changed; change it in netedit."
+        )
+    return [Phase(one.get("state", ""), float(one.get("duration", "0")), one) for one in elements]
+
+
+def write(program: ET.Element, cycle: Sequence[Phase]) -> None:
+    """Put a cycle into its element in place of the phases there."""
+    for one in program.findall("phase"):
+        program.remove(one)
+    for phase in cycle:
+        element = ET.Element(
+            "phase", dict(phase.element.attrib) if phase.element is not None else {}
+        )
+        element.set("state", phase.state)
+        if phase.element is None:
+            element.set("duration", f"{phase.duration_s:g}")
+        elif phase.added_s:
+            for key in _TIMES:
+                if element.get(key) is not None:
+                    element.set(key, f"{float(element.get(key, '0')) + phase.added_s:g}")
+        program.append(element)
+
+
+def _with_yellow(name: str, cycle: list[Phase], yellow_s: float, *, keep: bool) -> list[Phase]:
+    """Each green ends with at least ``yellow_s`` of yellow."""
+    found: list[Phase] = []
+    for place, phase in enumerate(cycle):
+        behind = cycle[(place + 1) % len(cycle)]
+        ending = [link for link in _links(cycle) if phase.green(link) and not behind.green(link)]
+        found.append(phase)
+        if any(behind.state[link] not in YELLOW_LETTERS for link in ending):
+            state = _between(phase, behind, ending, "y")
+            found.append(Phase(state, yellow_s))
+            found[-2] = _shorter(name, phase, yellow_s, keep=keep)
+    return _longer_runs(name, found, _is_yellow, yellow_s, keep=keep)
+
+
+def _with_all_red(name: str, cycle: list[Phase], red_s: float, *, keep: bool) -> list[Phase]:
+    """At least ``red_s`` lie between the end of a yellow and the next green."""
+    found: list[Phase] = []
+    for place, phase in enumerate(cycle):
+        behind = cycle[(place + 1) % len(cycle)]
+        gone = [
+            link for link in _links(cycle)
+            if phase.state[link] in YELLOW_LETTERS and behind.state[link] not in YELLOW_LETTERS
+        ]  # fmt: skip
+        found.append(phase)
+        if gone and _begins(phase, behind):
+            found.append(Phase(_between(phase, behind, gone, "r"), red_s))
+            place_of_green = _green_before(found, len(found) - 1)
+            found[place_of_green] = _shorter(name, found[place_of_green], red_s, keep=keep)
+    return _longer_runs(name, found, _is_pause, red_s, keep=keep)
+
+
+def _links(cycle: Sequence[Phase]) -> range:
+    return range(len(cycle[0].state))
+
+
+def _begins(phase: Phase, behind: Phase) -> bool:
+    """Whether a link gets green."""
+    return any(behind.green(link) and not phase.green(link) for link in range(len(phase.state)))
+
+
+def _between(phase: Phase, behind: Phase, ending: Sequence[int], letter: str) -> str:
+    """The state of a phase between two: what goes on stays, what ends has the letter."""
+    state = [
+        "r" if new in GREEN_LETTERS and old not in GREEN_LETTERS else old
+        for old, new in zip(phase.state, behind.state, strict=True)
+    ]
+    for link in ending:
+        state[link] = letter
+    return "".join(state)
+
+
+def _is_yellow(cycle: Sequence[Phase], place: int) -> bool:
+    return bool(set(cycle[place].state) & set(YELLOW_LETTERS))
+
+
+def _is_pause(cycle: Sequence[Phase], place: int) -> bool:
+    """Whether a phase comes behind a yellow, without a yellow or a new green itself."""
+    before = cycle[place - 1]
+    after_yellow = _is_yellow(cycle, place - 1)
+    return after_yellow and not _is_yellow(cycle, place) and not _begins(before, cycle[place])
+
+
+def _longer_runs(
+    name: str, cycle: list[Phase], chosen: Callable[[Sequence[Phase], int], bool],
+    least_s: float, *, keep: bool,
+) -> list[Phase]:  # fmt: skip
+    """The last phase of each run of chosen ones is as long as makes the run ``least_s``."""
+    found = list(cycle)
+    for place in range(len(cycle)):
+        if not chosen(cycle, place) or chosen(cycle, (place + 1) % len(cycle)):
+            continue
+        run_s, first = 0.0, place
+        while chosen(cycle, first) and place - first < len(cycle):
+            run_s += cycle[first].duration_s
+            first -= 1
+        lack = least_s - run_s
+        if lack > 1e-9:
+            found[place] = found[place].longer(lack)
+            green = _green_before(found, place)
+            found[green] = _shorter(name, found[green], lack, keep=keep)
+    return found
+
+
+def _green_before(cycle: Sequence[Phase], place: int) -> int:
+    """The phase before a change from which it takes time: the nearest with green, no yellow."""
+    for back in range(1, len(cycle) + 1):
+        one = (place - back) % len(cycle)
+        if set(cycle[one].state) & set(GREEN_LETTERS) and not _is_yellow(cycle, one):
+            return one
+    return place
+
+
+def _shorter(name: str, phase: Phase, seconds: float, *, keep: bool) -> Phase:
+    """A green that has given time. Raises UsageError where too little is left."""
+    actuated = phase.element is not None and phase.element.get("minDur") is not None
+    if not keep or actuated:  # an actuated light chooses its greens
+        return phase
+    left = phase.duration_s - seconds
+    if left < LEAST_GREEN_S:
+        raise UsageError(
+            f"signal '{name}': its green of {phase.duration_s:g} s ({phase.state}) would leave"
+            f" {left:g} s, and {LEAST_GREEN_S:g} s are the least; write 'cycle: longer', or less."
+        )
+    return phase.longer(-seconds)
+
+
+def _protected(
+    name: str, cycle: list[Phase], change: Change, lefts: Iterable[int], foes: Foes
+) -> list[Phase]:
+    """Permissive left turns are red while what they meet has green; then they have their own."""
+    assert change.protected_left_s is not None
+    rows = list(lefts)
+    found: list[Phase] = []
+    waiting: list[int] = []
+    for place, phase in enumerate(cycle):
+        permissive = [
+            link for link in rows
+            if phase.state[link] == "g"
+            and any(phase.green(other) and foes(link, other) for other in _links(cycle))
+        ]  # fmt: skip
+        if permissive:
+            waiting, green = permissive, len(found)
+        state = "".join("r" if link in waiting else one for link, one in enumerate(phase.state))
+        found.append(replace(phase, state=state))
+        behind = cycle[(place + 1) % len(cycle)]
+        if waiting and (_begins(phase, behind) or place == len(cycle) - 1):
+            own = _own_green(name, cycle, waiting, change, foes)
+            found[green] = _shorter(
+                name, found[green], sum(one.duration_s for one in own), keep=change.cycle == "keep"
+            )
+            found += own
+            waiting = []
+    if len(found) == len(cycle):
+        raise UsageError(
+            f"signal '{name}': no left turn has green together with oncoming traffic, so none can"
+            " be protected; leave protected_left_s out."
+        )
+    return found
+
+
+def _own_green(
+    name: str, cycle: Sequence[Phase], lefts: Sequence[int], change: Change, foes: Foes
+) -> list[Phase]:
+    """Green, yellow and all-red of left turns; the others are red."""
+    for one in lefts:
+        meets = [other for other in lefts if other != one and foes(one, other)]
+        if meets:
+            raise UsageError(
+                f"signal '{name}': the left turns of links {one} and {meets[0]} meet, so they"
+                " cannot have green together; give them phases in netedit."
+            )
+    yellow_s = change.yellow_s or _usual_s(cycle, _is_yellow) or 3.0
+    red_s = change.all_red_s or _usual_s(cycle, _is_pause)
+    rows = [(change.protected_left_s or 0.0, "G"), (yellow_s, "y"), (red_s, "r")]
+    return [
+        Phase("".join(letter if link in lefts else "r" for link in _links(cycle)), seconds)
+        for seconds, letter in rows
+        if seconds
+    ]
+
+
+def _usual_s(cycle: Sequence[Phase], chosen: Callable[[Sequence[Phase], int], bool]) -> float:
+    """The longest of the chosen phases; 0 without one."""
+    return max(
+        (phase.duration_s for place, phase in enumerate(cycle) if chosen(cycle, place)), default=0.0
+    )

@@ -1,7 +1,0 @@
-"""Case + planner + policy -> Rollout: the loop over SUMO."""
-
-from deepmf_sumo.simulation.cases import network_case
-from deepmf_sumo.simulation.episode import simulate
-from deepmf_sumo.simulation.sumo_config import hold, release
-
-__all__ = ["hold", "network_case", "release", "simulate"]

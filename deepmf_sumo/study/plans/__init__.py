@@ -1,0 +1,20 @@
+"""What `deepmf-sumo run` runs: specs, and plans of methods x planners x scenes x seeds."""
+
+from deepmf_sumo.study.plans.layout import Layout, read_layout
+from deepmf_sumo.study.plans.plan import Loaded, Plan, is_plan, load
+from deepmf_sumo.study.plans.run import expected, merge, run, run_specs
+from deepmf_sumo.study.sweep.shards import Shard
+
+__all__ = [
+    "Layout",
+    "Loaded",
+    "Plan",
+    "Shard",
+    "expected",
+    "is_plan",
+    "load",
+    "merge",
+    "read_layout",
+    "run",
+    "run_specs",
+]

@@ -1,0 +1,272 @@
+"""Specs -> a result folder; a plan -> one with the tables of its methods."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from deepmf_sumo import files
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.files import cache_folder
+from deepmf_sumo.results import folder, stored
+from deepmf_sumo.results.folder import opened
+from deepmf_sumo.results.result import Result
+from deepmf_sumo.spec import FromMoments, Spec, tasks
+from deepmf_sumo.spec.tasks import Part, Task
+from deepmf_sumo.study import moments
+from deepmf_sumo.study.moments import Found, Moment, Request
+from deepmf_sumo.study.plans import entries, layout, tables
+from deepmf_sumo.study.plans.entries import Entry
+from deepmf_sumo.study.plans.layout import Layout
+from deepmf_sumo.study.plans.plan import Loaded
+from deepmf_sumo.study.plans.rounds import Rounds, refuse
+from deepmf_sumo.study.sweep import batch, shards
+from deepmf_sumo.study.sweep.batch import Progress
+from deepmf_sumo.study.sweep.inputs import fingerprinted
+from deepmf_sumo.study.sweep.shards import Shard, note
+
+Report = Callable[[Progress], None]
+Announce = Callable[[Request, Found], None]
+"""Called with the moments of a network that were found."""
+
+
+def run_specs(
+    specs: Sequence[Spec],
+    options: batch.Options,
+    report: Report = lambda _: None,
+    announce: Announce = lambda *_: None,
+    *,
+    by_option: bool = False,
+) -> list[Result]:
+    """Run specs and write the result folder; results in the order of the runs.
+
+    Of specs with ``source.moments`` the moments are chosen first, and moments.csv says which.
+
+    Args:
+        specs: any.
+        options: of the runs.
+        report: called when a run has ended.
+        announce: called when moments were found.
+        by_option: messages name the options of ``attack``, see `Wish`.
+
+    Raises SpecError, UsageError, SimulationError or OutputError before anything is attacked.
+    """
+    wanted = {
+        index: moments.request(one, by_option=by_option)
+        for index, one in enumerate(specs)
+        if isinstance(one.source, FromMoments)
+    }
+    for request in wanted.values():
+        refuse(request, options)
+    if wanted:
+        folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
+    chosen: dict[int, list[Task]] = {}
+    found: dict[str, Moment] = {}
+    traffic: list[tuple[Spec, Found]] = []
+    rounds = Rounds()
+    for index, request in wanted.items():
+        traffic.append((request.spec, _found(request, options, announce)))
+        moments_of = traffic[-1][1].moments
+        chosen[index] = moments.tasks(request.spec, moments_of)
+        if request.wish.pool:
+            rounds.add(request, traffic[-1][1], chosen[index])
+        else:
+            found |= zip((task.run_id for task in chosen[index]), moments_of, strict=True)
+    planned = rounds.begin(tasks.plan(specs, cache_folder(), options.name_filter, chosen))
+    if wanted:
+        spread = [(one, found[one.run_id]) for one in planned if one.run_id in found]
+        report = _noting(lambda: [*spread, *rounds.drawn], traffic, options, report)
+    return batch.run_tasks(planned, options, report, rounds)
+
+
+def _found(request: Request, options: batch.Options, announce: Announce) -> Found:
+    found = moments.find(request.scouting, request.wish, options.timeout_s, request.area)
+    announce(request, found)
+    return found
+
+
+def _noting(
+    chosen: Callable[[], Sequence[tuple[Task, Moment]]],
+    traffic: Iterable[tuple[Spec, Found]],
+    options: batch.Options,
+    report: Report,
+) -> Report:
+    """The report, which also writes moments and flows, before the first run and as more are drawn.
+
+    Those of runs of earlier commands that a resumed folder keeps stay.
+    """
+    specs = {spec.name for spec, _ in traffic}
+    flows = moments.flow_rows(traffic)
+
+    def tell(progress: Progress) -> None:
+        if progress.last is None:
+            out, rows = options.out, moments.rows(chosen())
+            kept = stored.keys_of(out).keys() - {row["run_id"] for row in rows}
+            earlier, passed = {}, []
+            if kept:
+                earlier, passed = stored.moments_of(out), stored.flows_of(out)
+            before = [row for run_id, row in earlier.items() if run_id in kept]
+            passed = [row for row in passed if row["spec"] not in specs]
+            files.write(out / stored.MOMENTS, moments.table([*rows, *before]))
+            files.write(out / stored.FLOW, moments.flow_table([*flows, *passed]))
+        report(progress)
+
+    return tell
+
+
+def run(
+    loaded: Loaded,
+    options: batch.Options,
+    report: Report = lambda _: None,
+    announce: Announce = lambda *_: None,
+) -> list[Result]:
+    """Run a plan, or a shard of it, and write runs.csv and the tables.
+
+    Runs begin scene by scene, so that an unfinished plan shows all methods; tables are in the
+    plan's order. An interrupt leaves the finished runs and their tables behind and is passed on.
+
+    Raises SpecError, UsageError, SimulationError or OutputError before anything runs.
+    """
+    plan, shard = loaded.plan, options.shard
+
+    traffic: list[tuple[Spec, Found]] = []
+
+    def look(spec: Spec) -> Sequence[Moment]:
+        request = moments.request(spec)
+        if request.wish.pool:
+            raise UsageError(
+                f"plan '{plan.name}', source.moments.draw: promising: methods are compared at the"
+                " same moments, and these depend on what a method finds; leave it out."
+            )
+        traffic.append((spec, _found(request, options, announce)))
+        return traffic[-1][1].moments
+
+    rows = entries.entries_of(loaded, cache_folder(), look)
+    planned, read = fingerprinted(entries.tasks_of(rows, plan.seeds))
+    outlined = layout.layout_of(plan, rows, planned)
+    if options.resume and (options.out / layout.FILE).is_file():
+        _refuse_lost(options.out, layout.read_layout(options.out), outlined)
+    chosen = shard.choose(planned) if shard else planned
+    places = {place.scene: place.moment for entry in rows for place in entry.situations}
+    if any(places.values()):
+        at = [(one, moment) for one in planned if (moment := places[one.scene])]
+        report = _noting(lambda: at, traffic, options, report)
+    with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
+        changed = batch.begin(store, chosen, options, read)
+        note(options.out, None)
+        outlined.write(options.out)
+        queue = _scene_by_scene(rows, plan.seeds)
+        try:
+            return batch.fill(
+                store, chosen, options, report, queue=queue, known=batch.Known(changed=changed)
+            )
+        finally:
+            if (options.out / "runs.csv").is_file():
+                tables.write(options.out)
+
+
+def _refuse_lost(out: Path, before: Layout, now: Layout) -> None:
+    """Raise UsageError where a resumed folder has results that would be in no table any more."""
+    done = [one for one in before.runs.keys() - now.runs if (out / "runs" / one).is_dir()]
+    if not done:
+        return
+    gone = {
+        kind: [one for one in getattr(before, kind) if one not in getattr(now, kind)]
+        for kind in ("methods", "planners", "scenes")
+    }
+    what = "; ".join(f"{kind} {', '.join(names)}" for kind, names in gone.items() if names)
+    raise UsageError(
+        f"{out} has results of {len(done)} runs that this plan, as it is run now, does not have"
+        f" ({what or f'e.g. {min(done)}'}): --resume would leave them out of all tables. Run the"
+        " plan as before, without --without or --set, or give another folder for --out."
+    )
+
+
+def expected(out: Path, shard: Shard | None = None) -> int:
+    """How many runs the plan of a folder, or a shard of it, has."""
+    runs = list(layout.read_layout(out).runs)
+    return len(runs[shard.number - 1 :: shard.of]) if shard else len(runs)
+
+
+def _scene_by_scene(rows: Sequence[Entry], seeds: Sequence[int]) -> Callable[[Task], Any]:
+    """Key of the order in which runs begin: own budgets first, then scene, seed, planner, method.
+
+    So a worker reads a scene once for all methods.
+    """
+    every = (place.scene for entry in rows for place in entry.situations)
+    scenes = {scene: number for number, scene in enumerate(dict.fromkeys(every))}
+    labels = {entry.label: number for number, entry in enumerate(rows)}
+    parts = get_args(Part)
+    planners = list(dict.fromkeys(entry.label.planner for entry in rows))
+
+    def key(task: Task) -> tuple[Any, ...]:
+        assert task.label is not None
+        return (
+            parts.index(task.label.part),
+            scenes[task.scene],
+            seeds.index(task.spec.seed),
+            planners.index(task.label.planner),
+            labels[task.label],
+        )
+
+    return key
+
+
+def merge(
+    out: Path, folders: Sequence[Path], *, overwrite: bool = False
+) -> tuple[list[Result], list[str]]:
+    """Copy the runs of all shards into ``out``; returns their results and the ids of missing runs.
+
+    Runs that are not there yet have no row: `run --resume` in ``out`` does them. Raises
+    UsageError for folders of other plans or versions, or that hold a run twice, and OutputError.
+    """
+    plan = _common(folders)
+    found = shards.found_in(folders, plan.runs)
+    missing = [run_id for run_id in plan.runs if run_id not in found]
+    with shards.joining(out, folders, plan.runs, found, overwrite=overwrite) as store:
+        results = shards.copied(store, folders, plan.runs, found)
+        plan.write(out)
+        for name in (stored.MOMENTS, stored.FLOW):  # those of all shards
+            if (folders[0] / name).is_file():
+                files.copy(folders[0] / name, out / name)
+        store.finish(
+            results,
+            junit_too=any((folder / "junit.xml").is_file() for folder in folders),
+            interrupted=bool(missing),
+        )
+        tables.write(out)
+    return results, missing
+
+
+def _common(folders: Sequence[Path]) -> Layout:
+    """The plan of all shards. Raises UsageError where they differ."""
+    first = layout.read_layout(folders[0])
+    plan = _placeless(first)
+    for each in folders[1:]:
+        other = _placeless(layout.read_layout(each))
+        if other != plan:
+            names = (field.name for field in fields(Layout))
+            key = next(name for name in names if getattr(plan, name) != getattr(other, name))
+            raise UsageError(
+                f"{each} is of another plan than {folders[0]} (they differ in '{key}'); "
+                "merge shards of one plan, run on one set of scenes."
+            )
+    return first
+
+
+def _placeless(plan: Layout) -> Layout:
+    """The plan, of its files the names alone: on another machine they lie elsewhere.
+
+    That their contents are the same is in the keys of its runs.
+    """
+    return replace(plan, plan=_named(plan.plan))
+
+
+def _named(value: Any) -> Any:
+    """Plain values, in which absolute paths are the names at their ends."""
+    if isinstance(value, dict):
+        return {key: _named(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_named(each) for each in value]
+    return Path(value).name if isinstance(value, str) and value.startswith(os.sep) else value

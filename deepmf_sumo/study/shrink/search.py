@@ -1,0 +1,287 @@
+"""The search for the smallest reproducer: one thing after another, until nothing more helps."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from deepmf_sumo.errors import RunError
+from deepmf_sumo.results.findings import Worth
+from deepmf_sumo.scene import DT_S, AgentId, Floats
+from deepmf_sumo.study.shrink.candidate import (
+    AFTER_STEPS,
+    Candidate,
+    changes_of_plan,
+    path_of,
+    spec_values,
+    undisturbed_values,
+)
+from deepmf_sumo.study.shrink.failure import Failure
+from deepmf_sumo.study.shrink.trials import Simulator, Trial, trial, undisturbed
+
+SIMULATIONS: Final = 60
+_LEAST_STEPS: Final = 10
+"""From begin to contact: a shorter one would be no task for a planner."""
+_FINE_STEPS: Final = 2
+_MILDER_MPS2: Final = 0.1
+_ROUNDED_MPS2: Final = 0.05
+_FASTER_MPS: Final = 0.5
+"""A contact may be faster than the first by at most this."""
+"""What rounding of poses may add to an acceleration."""
+_AVERAGED: Final = (10, 5, 2)
+_SCALES: Final = (0.5, 0.7, 0.85, 0.95)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shrunk:
+    """What was found.
+
+    Attributes:
+        failure: what it comes from. first: the run with a fixed trajectory, nothing made smaller.
+        best: the smallest that fails in the same way.
+        simulations: all that were done, the last check included.
+        finished: nothing more helps; False: the budget ended the search.
+        kept: what was left as it is, and why; empty where all could be tried.
+    """
+
+    failure: Failure
+    first: Trial
+    best: Trial
+    simulations: int
+    finished: bool
+    kept: str = ""
+
+    def changes(self) -> tuple[int, int]:
+        """Changes of plan in the run, and in the reproducer."""
+        whole = replace(self.first.candidate, contact=self.failure.contact)
+        return (
+            changes_of_plan(whole, self.failure),
+            changes_of_plan(replace(self.best.candidate, contact=self.best.contact), self.failure),
+        )
+
+
+class _Spent(Exception):  # noqa: N818 - no error
+    """The budget is spent."""
+
+
+def shrink(
+    failure: Failure,
+    simulations: int = SIMULATIONS,
+    report: Callable[[str], None] = lambda _: None,
+) -> Shrunk:
+    """Find the smallest reproducer of a failure, and check it in a new process.
+
+    ``simulations``: maximum number, at least 3. ``report`` hears of each step that helped.
+
+    Raises RunError where the run does not fail again with the recorded path, or a reproducer does
+    not repeat byte for byte.
+    """
+    with Simulator() as simulator:
+        search = _Search(failure, simulator, max(simulations, 3) - 1, report)
+        finished = search.run()
+        best = search.best
+        simulator.renew()
+        again = trial(simulator, failure, best.candidate, best.values)
+        if again.digest != best.digest:
+            raise RunError(
+                f"{failure.run_id}: the reproducer gave another motion in a second simulation:"
+                f" planner '{failure.planner}' does not repeat itself."
+            )
+        return Shrunk(
+            failure=failure,
+            first=search.first,
+            best=best,
+            simulations=simulator.done,
+            finished=finished,
+            kept=search.kept,
+        )
+
+
+class _Search:
+    """The best candidate so far, and the steps that try to make it smaller.
+
+    ``first``: nothing is made smaller yet. ``kept``: what cannot be, and why.
+    """
+
+    def __init__(
+        self,
+        failure: Failure,
+        simulator: Simulator,
+        budget: int,
+        report: Callable[[str], None],
+    ) -> None:
+        self._failure, self._simulator = failure, simulator
+        self._budget, self._report = budget, report
+        self._tried: set[Candidate] = set()
+        self._calm: Floats | None = None
+        self.kept = ""
+        self.first = self.best = self._repeated()
+
+    def run(self) -> bool:
+        """Make it smaller until nothing more helps; False where the budget ended that."""
+        try:
+            self._learn_undisturbed()
+            helped = True
+            while helped:
+                steps = (self._later, self._fewer_road_users, self._fewer_plans, self._milder)
+                helped = sum(step() for step in steps) > 0  # each of them, in turn
+        except _Spent:
+            return False
+        return True
+
+    def _repeated(self) -> Trial:
+        """The run with the recorded path, from its start, or from the opponent's turn."""
+        failure, why = self._failure, ""
+        whole = Candidate(
+            last=failure.contact + AFTER_STEPS,
+            contact=failure.contact,
+            only=failure.spec.source.only,
+            plans=len(failure.plans),
+        )
+        for begin in dict.fromkeys((0, failure.begin)):
+            if begin:
+                self._learn_undisturbed(always=True)
+            found = self._simulated(replace(whole, begin=begin))
+            if found.hit:
+                return found
+            why = why or found.why
+        raise RunError(
+            f"{failure.run_id} does not fail again when '{failure.opponent}' follows its recorded"
+            f" path ({why}); it cannot be shrunk."
+        )
+
+    def _learn_undisturbed(self, *, always: bool = False) -> None:
+        if self._calm is not None or self.kept:
+            return
+        if not always:
+            self._count()
+        found, why = undisturbed(self._simulator, self._failure, undisturbed_values(self._failure))
+        self._calm = found
+        if found is None:
+            self.kept = f"begin and motion: no undisturbed motion is known ({why})"
+
+    def _count(self) -> None:
+        if self._simulator.done >= self._budget:
+            raise _Spent
+
+    def _simulated(self, candidate: Candidate) -> Trial:
+        self._tried.add(candidate)
+        path = path_of(candidate, self._failure, self._calm)
+        values = spec_values(candidate, self._failure, path)
+        return trial(self._simulator, self._failure, candidate, values)
+
+    def _try(self, said: str, *, milder: bool = False, **changes: Any) -> bool:
+        """Whether a candidate with changes fails in the same way; then it is the best."""
+        candidate = replace(
+            self.best.candidate,
+            **{"last": self.best.contact + AFTER_STEPS, "contact": self.best.contact} | changes,
+        )
+        if candidate in self._tried:
+            return False
+        self._count()
+        found = self._simulated(candidate)
+        if not self._same(found) or (
+            milder and found.hardest_mps2 > self.best.hardest_mps2 - _MILDER_MPS2
+        ):
+            return False
+        self.best = found
+        self._report(said)
+        return True
+
+    def _same(self, found: Trial) -> bool:
+        """Whether it is the first trial's: of its kind, on its rung, no longer, no harder."""
+        first = self.first
+        return (
+            found.hit
+            and found.steps <= first.steps
+            and found.accident == first.accident
+            and _as_much(found.worth, first.worth)
+            and found.feasible >= first.feasible
+            and found.hardest_mps2 <= first.hardest_mps2 + _ROUNDED_MPS2
+            and found.contact_mps <= first.contact_mps + _FASTER_MPS
+        )
+
+    def _later(self) -> bool:
+        """Let it begin later: at the latest begin first, then half-way to it."""
+        if self._calm is None:
+            return False
+        begun = self.best.candidate.begin
+        begin = min(self.best.contact - _LEAST_STEPS, len(self._calm) - 1)
+        too_late = begin + 1
+        while begin - self.best.candidate.begin >= _FINE_STEPS:
+            if not self._try(f"begins {begin * DT_S:.1f} s later", begin=begin):
+                too_late = begin
+            begin = (self.best.candidate.begin + too_late) // 2
+        return self.best.candidate.begin > begun
+
+    def _fewer_road_users(self) -> bool:
+        """Leave road users out: all, else those farther away, else one by one."""
+        failure, only = self._failure, self.best.candidate.only
+        if only == (failure.opponent,):
+            return False
+        left = [one for one in failure.others if only is None or one in only]
+        before, kept = len(left), self._nearest(left)
+        for agent in [] if kept is None else kept[::-1]:
+            fewer = [one for one in kept or [] if one != agent]
+            if self._try_with(fewer):
+                kept = fewer
+        return kept is not None and len(kept) < before
+
+    def _nearest(self, left: list[AgentId]) -> list[AgentId] | None:
+        """The fewest of the nearest road users with which it fails; None: with no fewer."""
+        if self._try_with([]):
+            return []
+        enough, too_few, found = len(left), 0, None
+        while enough - too_few > 1:
+            some = (enough + too_few) // 2
+            if self._try_with(left[:some]):
+                enough, found = some, left[:some]
+            else:
+                too_few = some
+        return found if found is not None else left if self._listed(left) else None
+
+    def _listed(self, left: list[AgentId]) -> bool:
+        """Whether road users are named already, so that fewer can be tried one by one."""
+        return self.best.candidate.only is not None or self._try_with(left)
+
+    def _try_with(self, others: list[AgentId]) -> bool:
+        said = f"{len(others) + 2} road users"
+        return self._try(said, only=(self._failure.opponent, *others))
+
+    def _fewer_plans(self) -> bool:
+        """Follow an earlier plan to its end: the earliest first."""
+        candidate = self.best.candidate
+        least = changes_of_plan(replace(candidate, contact=self.best.contact), self._failure)
+        if not least:
+            return False
+        for plans in range(max(1, candidate.plans - least), candidate.plans):
+            last = len(self._failure.path(plans)) - 1
+            last = min(last, self._failure.contact + 2 * AFTER_STEPS)
+            if last > candidate.begin and self._try(
+                f"{plans} plan{'s' * (plans > 1)}", plans=plans, last=last
+            ):
+                return True
+        return False
+
+    def _milder(self) -> bool:
+        """Average the opponent's deviation over time, and leave less of it."""
+        if self._calm is None:
+            return False
+        helped, now = False, self.best.candidate
+        for half in (one for one in _AVERAGED if one > now.smooth):
+            if self._try(f"motion averaged over {2 * half * DT_S:.1f} s", milder=True, smooth=half):
+                helped = True
+                break
+        for scale in _SCALES:
+            share = round(now.scale * scale, 3)
+            said = f"{100 * share:.0f} % of the opponent's deviation"
+            if self._try(said, milder=True, scale=share):
+                return True
+        return helped
+
+
+def _as_much(found: Worth | None, first: Worth | None) -> bool:
+    """Whether a hit is on the rung of the first, and all who avoid that one avoid it, too."""
+    if found is None or first is None:
+        return found is first
+    same = (found.rung, found.finding) == (first.rung, first.finding)
+    return same and set(first.avoided_by or ()) <= set(found.avoided_by or ())

@@ -1,0 +1,301 @@
+"""The AV in SUMO: how its speed and lane are commanded, and where it is shown."""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepmf_sumo.scene import DT_S, AgentId, Command, Floats
+from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
+from deepmf_sumo.sumo.simulation.frame import Pose
+from deepmf_sumo.sumo.simulation.route_ahead import RouteAhead
+from deepmf_sumo.sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
+from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.sumo.simulation.vehicle_control import MATCH_M, HandOver, has_stops, move
+from deepmf_sumo.sumo.simulation.way_on import WayOn
+
+# Bits of speedMode: 1 safe speed, 2 and 4 limits of acceleration and deceleration, 8 right of way,
+# 16 red lights.
+_OWN_DECISION = 31
+# With bit 1 a commanded speed is cut without any limit to braking, with bit 4 SUMO's emergency
+# braking is weakened to comfortable braking. So both are off, and the limits are kept here.
+_COMMANDED = 24
+_NO_CHECKS = 0
+_NO_CHANGES = 0
+"""A laneChangeMode."""
+_RISE_HELD_MPS = 0.02
+_RISE_FREE_MPS = 0.15
+_ASKEW_RAD = 0.3
+"""A larger angle to its lane is not one that SUMO's first step may turn the AV by."""
+_LOOK_M = 100.0
+"""Distance within which SUMO's leader of the AV is recorded."""
+
+
+LANE_LOST: Final = "SUMO cannot drive it from there: it drives to the nearest lane first"
+"""The event ``lane_lost``."""
+
+
+class WayBack(NamedTuple):
+    """How an AV that a planner has left where SUMO drives nothing gets back to a lane.
+
+    Attributes:
+        begin: its way from a pose. clear: whether nothing is in its way at poses.
+        lost: called when it begins.
+    """
+
+    begin: Callable[[Pose], WayOn]
+    clear: Callable[[Sequence[Pose]], bool]
+    lost: Callable[[], None]
+
+
+class Av:
+    """The AV.
+
+    Args:
+        api: a running SUMO.
+        av_id: its id there.
+        length_m: of its box.
+        start: its pose at the current step.
+        way_back: from poses from which SUMO cannot drive it on; None: SUMO takes it anyway.
+
+    Attributes:
+        placed: the pose it was put at in the last step; None if SUMO drove it.
+        leaders: the vehicles that the planner named or SUMO's model followed in the last step;
+            None if neither applies.
+        pose: the shown pose: where the AV was placed, or as SUMO drives it (`ShownMotion`).
+        lost: it does not count as present any more, although SUMO may still simulate it.
+    """
+
+    def __init__(
+        self,
+        api: SumoApi,
+        av_id: AgentId,
+        length_m: float,
+        start: Pose,
+        way_back: WayBack | None = None,
+    ) -> None:
+        self._api = api
+        self.id = av_id
+        self.length_m = length_m
+        self.ahead = RouteAhead(api, av_id)
+        self.placed: Pose | None = None
+        self._has_stops = False
+        self._changes_lanes: int | None = None  # SUMO's mode from before it stood
+        self.leaders: tuple[AgentId, ...] | None = None
+        self.lost = False
+        self.pose = start
+        self._motion = ShownMotion(api, av_id, length_m)
+        self._motion.restart(start)
+        self._way_back = way_back
+        self._way: WayOn | None = None
+        self._hand_over = HandOver(api)
+        self._previous_mps: float | None = None
+        self._commanded_mps: float | None = None
+        self._path: Floats | None = None
+        self._path_known = False
+
+    @property
+    def present(self) -> bool:
+        """Whether SUMO still simulates the AV."""
+        return not self.lost and self.id in self._api.vehicle.getIDList()
+
+    @property
+    def teleported(self) -> bool:
+        """Whether SUMO took the AV for stuck in the last step, and moved it on or off the road."""
+        moved = self._api.simulation.getStartingTeleportIDList()
+        return self.placed is None and self.id in moved
+
+    @property
+    def on_lane(self) -> bool:
+        """Whether the AV is matched to a lane: off every lane SUMO cannot drive it."""
+        return bool(self._api.vehicle.getLaneID(self.id))
+
+    @property
+    def drivable(self) -> bool:
+        """Whether SUMO can drive the AV on from where it is without turning it around.
+
+        What is left of its angle to the lane, and of its offset, is spread (`ShownMotion`).
+        """
+        lane_id = str(self._api.vehicle.getLaneID(self.id))
+        if not lane_id or self.placed is None:
+            return bool(lane_id)
+        lane = np.array(self._api.lane.getShape(lane_id), float)[:, :2]
+        at = np.array([self.placed.x_m, self.placed.y_m])
+        along = float(polylines.project(lane, at).heading_rad)
+        return abs(float(frames.difference(along, self.placed.heading_rad))) < _ASKEW_RAD
+
+    @property
+    def begun(self) -> Jump | None:
+        """See `ShownMotion.begun`."""
+        return self._motion.begun
+
+    def path(self) -> Floats | None:
+        """(P, 2) centre line from the front bumper on, or None off every lane."""
+        if not self._path_known:
+            self._path, self._path_known = self.ahead.centre_line(), True
+        return self._path
+
+    def drive(self, command: Command) -> None:
+        """Ask for the command in the coming step."""
+        if command.kind == "pose":
+            pose = Pose(
+                x_m=command.x_m,
+                y_m=command.y_m,
+                heading_rad=command.heading_rad,
+                speed_mps=command.speed_mps,
+            )
+            self._way = None
+            self.place(pose, leader_id=command.leader_id)
+            return
+        if self._way_back is not None and self.placed is not None and not self.drivable:
+            self._go_back(self._way_back, self.placed)
+            return
+        self._way = None
+        if self.placed is not None:
+            self.placed = None
+            self._hand_over.give_back(self.id)
+        self.leaders = self._followed(command)
+        commanded = None
+        vehicle = self._api.vehicle
+        speed = float(vehicle.getSpeed(self.id))
+        self._keep_lane(standing=speed <= STANDING_MPS)
+        behind_left = self._behind_left_lane(speed) if command.kind != "speed" else None
+        if command.kind == "sumo":
+            vehicle.setSpeedMode(self.id, _OWN_DECISION)
+            if behind_left is not None and behind_left < speed:
+                commanded = behind_left
+            vehicle.setSpeed(self.id, -1.0 if commanded is None else commanded)
+        elif command.kind == "leader":
+            vehicle.setSpeedMode(self.id, _COMMANDED)
+            commanded = self._behind_leader(command, speed)
+            if behind_left is not None:
+                commanded = min(commanded, behind_left)
+            vehicle.setSpeed(self.id, commanded)
+        else:  # speed
+            vehicle.setSpeedMode(self.id, _NO_CHECKS)
+            vehicle.setSpeed(self.id, max(0.0, command.speed_mps))
+        self._previous_mps, self._commanded_mps = speed, commanded
+
+    def lane_cost(self, lane_id: str) -> float | None:
+        """Of SUMO's lanes on its way back; see `ownership.NextOwner`."""
+        route = self._api.vehicle.getRoute(self.id)
+        return self._hand_over.lane_cost(self.id, lane_id, route)
+
+    def _go_back(self, way_back: WayBack, placed: Pose) -> None:
+        """Drive to the middle of a lane, where SUMO drives on."""
+        if self._way is None:
+            way_back.lost()
+            self._way = way_back.begin(placed)
+        self.place(self._way.next(way_back.clear))
+
+    def _keep_lane(self, *, standing: bool) -> None:
+        """Let SUMO change the lane of an AV that stands only where its lane does not lead on.
+
+        SUMO changes lanes at any speed, and no vehicle moves sideways while it stands.
+        """
+        keeps = standing and self.on_lane and self._leads_on()
+        if keeps == (self._changes_lanes is not None):
+            return
+        vehicle = self._api.vehicle
+        if keeps:
+            self._changes_lanes = int(vehicle.getLaneChangeMode(self.id))
+            vehicle.setLaneChangeMode(self.id, _NO_CHANGES)
+        else:
+            vehicle.setLaneChangeMode(self.id, self._changes_lanes)
+            self._changes_lanes = None
+
+    def _leads_on(self) -> bool:
+        """Whether the AV's lane leads to where its route goes on."""
+        lane = self._api.vehicle.getLaneID(self.id)
+        best = self._api.vehicle.getBestLanes(self.id)
+        return all(one[4] for one in best if one[0] == lane)
+
+    def place(self, pose: Pose, leader_id: AgentId | None = None) -> None:
+        """Put the AV at a pose at the end of the coming step."""
+        if self.placed is None:
+            self._hand_over.take(self.id)
+            self._has_stops = has_stops(self._api, self.id)
+        self.placed = pose
+        self.leaders = None if leader_id is None else (leader_id,)
+        self._previous_mps = float(self._api.vehicle.getSpeed(self.id))
+        self._commanded_mps = None
+        self._hand_over.fit(self.id, pose, self.length_m)
+        move(self._api, self.id, pose, self.length_m, MATCH_M, on_route=self._has_stops)
+
+    def after_step(self) -> None:
+        """Tell SUMO the speed after a placement, and note the pose of the AV."""
+        self._path_known = False
+        self._hand_over.after_step()
+        if self.placed is not None:
+            self._api.vehicle.setPreviousSpeed(self.id, max(0.0, self.placed.speed_mps))
+            self._motion.restart(self.placed)
+            self.pose = self.placed
+        else:
+            self.pose = self._motion.advance(self.sumo_pose())
+
+    def sumo_pose(self) -> Pose:
+        """Where SUMO has the AV."""
+        return read_pose(self._api, self.id, self.length_m)
+
+    def _followed(self, command: Command) -> tuple[AgentId, ...] | None:
+        """The leader that the planner names, and SUMO's on the AV's lanes; None without both."""
+        named = () if command.leader_id is None else (command.leader_id,)
+        if command.kind == "speed":
+            return named or None
+        found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
+        return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
+
+    def _behind_left_lane(self, speed: float) -> float | None:
+        """SUMO's speed behind the next vehicle on the lane that the AV is shown leaving, or None.
+
+        For SUMO the AV is on its new lane immediately, and follows only what is there. As long as
+        its box is in the way of a vehicle ahead on the old lane, it keeps its distance to that,
+        too.
+        """
+        leaving = self._motion.leaving()
+        if not leaving:
+            return None
+        vehicle = self._api.vehicle
+        own_width_m = float(vehicle.getWidth(self.id))
+        speeds = []
+        for lane, aside_m in leaving.items():
+            own_m = self._motion.along(lane)
+            if own_m is None:
+                continue
+            gaps = []
+            for other in self._api.lane.getLastStepVehicleIDs(lane):
+                ahead_m = float(vehicle.getLanePosition(other)) - float(vehicle.getLength(other))
+                wide_m = (float(vehicle.getWidth(other)) + own_width_m) / 2
+                if ahead_m >= own_m and aside_m < wide_m:
+                    gaps.append((ahead_m - own_m, str(other)))
+            if gaps:
+                gap_m, leader = min(gaps)
+                gap_m -= float(vehicle.getMinGap(self.id))
+                leader_mps = float(vehicle.getSpeed(leader))
+                decel = float(vehicle.getDecel(self.id))
+                found = vehicle.getFollowSpeed(self.id, speed, gap_m, leader_mps, decel, leader)
+                speeds.append(float(found))
+                self.leaders = tuple(dict.fromkeys([*(self.leaders or ()), leader]))
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
+        return max(0.0, hardest, min(speeds)) if speeds else None
+
+    def _behind_leader(self, command: Command, speed: float) -> float:
+        """SUMO's speed behind the leader, but at most what SUMO's own decision allows.
+
+        A commanded speed overrules SUMO's lights, right of way, limits and lane leaders. What SUMO
+        itself would have done in the last step is known, but only if that was less than the
+        command: so the acceleration may rise, slowly where it is SUMO's own, and faster where SUMO
+        did not limit the last command.
+        """
+        vehicle = self._api.vehicle
+        gap = command.gap_m - float(vehicle.getMinGap(self.id))  # negative: nearer than wanted
+        decel = float(vehicle.getDecel(self.id))
+        target = float(vehicle.getFollowSpeed(self.id, speed, gap, command.leader_mps, decel, ""))
+        if self._previous_mps is not None:
+            own = float(vehicle.getSpeedWithoutTraCI(self.id))
+            held = self._commanded_mps is None or own < self._commanded_mps - 1e-6
+            rise = _RISE_HELD_MPS if held else _RISE_FREE_MPS
+            target = min(target, speed + own - self._previous_mps + rise)
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
+        return max(0.0, hardest, target)

@@ -1,0 +1,152 @@
+"""One episode: the loop over a simulated world."""
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from typing import Literal, Protocol
+
+import numpy as np
+
+from deepmf_sumo.planners._checked import Guard
+from deepmf_sumo.planners.base import FixedPlanner, Planner
+from deepmf_sumo.scene import AgentId, Case, RecordedCase, Rollout, VehicleModel
+from deepmf_sumo.scene.policy import Policy
+from deepmf_sumo.sumo.simulation import log_only, log_world, traffic_world
+from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
+from deepmf_sumo.sumo.simulation.frame import Frame
+from deepmf_sumo.sumo.simulation.gui import Window
+from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.sumo.simulation.sumo_api import Backend, SumoApi
+from deepmf_sumo.sumo.simulation.world import World
+
+
+class Observer(Protocol):
+    """Watches an episode, e.g. to show it; changes nothing in it."""
+
+    def on_step(self, frame: Frame, attackers: Sequence[AgentId]) -> None:
+        """A step has happened, in which a policy could drive the attackers."""
+        ...
+
+    def on_end(self) -> None:
+        """The episode is over."""
+        ...
+
+
+def simulate(
+    case: Case,
+    planner: Planner,
+    policy: Policy | None,
+    *,
+    rng: np.random.Generator,
+    gui: bool = False,
+    backend: Backend | None = None,
+) -> Rollout:
+    """Simulate one episode of a case.
+
+    Args:
+        case: the AV, the start, the duration, and what drives the other agents.
+        planner: drives the AV.
+        policy: drives the opponents of its choice; None: no attack.
+        rng: for the policy. SUMO and the planner have the case's seed, in the process and outside,
+            so a planner's random numbers do not depend on the attack.
+        gui: show the episode in sumo-gui.
+        backend: how SUMO is run; None: libsumo, or sumo-gui if ``gui``, or no SUMO at all if
+            nothing would react to the attack (`log_only`).
+
+    Raises SimulationError if SUMO refuses something or the AV is absent at the start, PlannerError
+    if the planner fails.
+    """
+    with closing(Guard(planner)) as guarded:
+        guarded.reset(case, np.random.default_rng(case.seed))
+        if (
+            backend is None
+            and not gui
+            and case.turns is None
+            and isinstance(planner, FixedPlanner)
+            and isinstance(case, RecordedCase)
+            and case.traffic == "log"
+        ):
+            return log_only.run(case, planner, policy, rng)
+        backend = backend or ("gui" if gui else "libsumo")
+        with _opened(case, guarded.model, backend) as (api, world):
+            observers = [Window(api, case.av_id)] if backend == "gui" else []
+            return run(case, world, guarded, policy, rng, observers)
+
+
+def _opened(
+    case: Case, model: VehicleModel | None, backend: Backend
+) -> AbstractContextManager[tuple[SumoApi, World]]:
+    """SUMO, and the world of a case at its current step."""
+    if isinstance(case, RecordedCase):
+        return log_world.opened(case, model, backend)
+    return traffic_world.opened(case, model, backend)
+
+
+def run(
+    case: Case,
+    world: World,
+    planner: Planner,
+    policy: Policy | None,
+    rng: np.random.Generator,
+    observers: Sequence[Observer] = (),
+) -> Rollout:
+    """The loop: plan, drive, step and record until a hit ends it or the time is over."""
+    seconds: dict[str, float] = defaultdict(float)
+    with _timed(seconds, "policy"):
+        record = _begun(case, world, policy, rng)
+    ended: Literal["time", "contact", "av_gone"] = "time"
+    leaders, lights = [], []
+    while record.step < record.end:
+        with _timed(seconds, "policy"):
+            record.replan()
+        with _timed(seconds, "planner"):
+            view = record.view(world.av.path())
+            command = planner.act(view)
+        with _timed(seconds, "simulation"):
+            attackers = record.schedule.attackers
+            frame = world.step(command, record.schedule.advance(record.step + 1))
+            over = record.add(frame)
+        for observer in observers:
+            observer.on_step(frame, attackers)
+        leaders.append(world.av.leaders)
+        lights.append(view.signals)
+        if over:
+            ended = "contact"
+            break
+        if not world.av.present:
+            ended = "av_gone"
+            break
+    for observer in observers:
+        observer.on_end()
+    return record.rollout(
+        ended, world.events, seconds=dict(seconds), leaders=leaders, signals=lights
+    )
+
+
+def _begun(
+    case: Case, world: World, policy: Policy | None, rng: np.random.Generator
+) -> EpisodeRecord:
+    """The record of the history, with the first attack."""
+    history = world.history()
+    recorder = Recorder(len(history) + case.duration_steps, world.body)
+    for frame in history:
+        recorder.add(frame)
+    return EpisodeRecord(
+        case.av_id,
+        case.road,
+        recorder,
+        history[-1],
+        case.duration_steps,
+        world.signals,
+        lambda view: AttackSchedule(policy, view, rng, case.turns, world.next_owner),
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], part: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[part] += time.perf_counter() - begin

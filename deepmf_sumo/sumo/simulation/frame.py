@@ -1,0 +1,118 @@
+"""Poses and frames: the state of all agents after a step, as read from the simulation."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepmf_sumo.scene import AgentId, AgentKind, Bytes, Driver, Floats
+from deepmf_sumo.scene.geometry import frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Body:
+    """Kind and size of an agent, fixed for the episode. ``size_m`` (length, width, height)."""
+
+    kind: AgentKind
+    size_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Pose and speed of a box.
+
+    ``course_rad``: direction of motion; None: its heading (backwards if the speed is negative).
+    ``z_m``: height of the ground below it, as in `scene.Tracks`.
+    """
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    speed_mps: float
+    course_rad: float | None = None
+    z_m: float = 0.0
+
+
+_ARRAYS: Final = ("position_m", "z_m", "heading_rad", "velocity_mps", "driver")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """All N agents that are present at one step.
+
+    Attributes:
+        ids: (N). position_m: (N, 2) box centre. z_m, heading_rad: (N). velocity_mps: (N, 2).
+        driver: (N) Driver numbers.
+    """
+
+    ids: list[AgentId]
+    position_m: Floats
+    z_m: Floats
+    heading_rad: Floats
+    velocity_mps: Floats
+    driver: Bytes
+
+    @staticmethod
+    def of_poses(poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
+        """A frame of agents that are given one by one."""
+        table = np.array(
+            [
+                [pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps, pose.z_m]
+                for pose, _ in poses.values()
+            ]
+        ).reshape(-1, 5)
+        course = [
+            pose.heading_rad if pose.course_rad is None else pose.course_rad
+            for pose, _ in poses.values()
+        ]
+        return Frame(
+            ids=list(poses),
+            position_m=table[:, :2],
+            z_m=table[:, 4],
+            heading_rad=table[:, 2],
+            velocity_mps=table[:, 3:4] * frames.unit(np.array(course)),
+            driver=np.array([int(driver) for _, driver in poses.values()], np.uint8),
+        )
+
+    @staticmethod
+    def of_sumo(ids: list[AgentId], states: Sequence[Sequence[float]], length_m: Floats) -> "Frame":
+        """A frame of N agents as SUMO states them, all driven by SUMO.
+
+        ``states``: (N, 5) x, y of the front bumper, angle (degrees), speed, z. ``length_m``: (N).
+        """
+        table = np.array(states, float).reshape(-1, 5)
+        centre, heading = frames.from_sumo(table[:, :2], table[:, 2], length_m)
+        return Frame(
+            ids=ids,
+            position_m=centre,
+            z_m=table[:, 4],
+            heading_rad=heading,
+            velocity_mps=table[:, 3:4] * frames.unit(heading),
+            driver=np.full(len(ids), int(Driver.SUMO), np.uint8),
+        )
+
+    def with_poses(self, poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
+        """This frame with the given agents: in their rows, or after all others if they are new."""
+        if not poses:
+            return self
+        more = Frame.of_poses(poses)
+        row_of = {agent: row for row, agent in enumerate([*self.ids, *more.ids])}
+        rows = list(row_of.values())  # the given pose in the place of the frame's own
+        both = {
+            name: np.concatenate([getattr(self, name), getattr(more, name)])[rows]
+            for name in _ARRAYS
+        }
+        return Frame(ids=list(row_of), **both)
+
+    def without(self, agent: AgentId) -> "Frame":
+        """This frame without an agent."""
+        return self._of_rows([row for row, one in enumerate(self.ids) if one != agent])
+
+    def of_agents(self, agents: Collection[AgentId]) -> "Frame":
+        """This frame with the given agents alone."""
+        return self._of_rows([row for row, one in enumerate(self.ids) if one in agents])
+
+    def _of_rows(self, rows: list[int]) -> "Frame":
+        kept = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return Frame(ids=[self.ids[row] for row in rows], **kept)

@@ -1,0 +1,237 @@
+"""Records an episode: the state of every agent, the attacks on the AV, and the contacts."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from deepmf_sumo.scene import (
+    DT_S,
+    HISTORY_STEPS,
+    AgentId,
+    AgentKind,
+    Bytes,
+    Driver,
+    Event,
+    Floats,
+    Ints,
+    RoadMap,
+    Rollout,
+    SignalState,
+    Tracks,
+    View,
+)
+from deepmf_sumo.scene.plan import TurnEnd
+from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
+from deepmf_sumo.sumo.simulation.contacts import Judge
+from deepmf_sumo.sumo.simulation.frame import Body, Frame
+
+
+class Recorder:
+    """The states of all agents that have appeared, in the order of their first appearance.
+
+    Args:
+        steps: length T of the time axis.
+        body: kind and size of an agent that appears.
+
+    Attributes:
+        step: the last one recorded; -1 if there is none.
+    """
+
+    def __init__(self, steps: int, body: Callable[[AgentId], Body]) -> None:
+        self.step = -1
+        self._body = body
+        self._steps = steps
+        self._row: dict[AgentId, int] = {}
+        self._ids: list[AgentId] = []
+        self._kinds: list[AgentKind] = []
+        self._size_m = np.zeros((64, 3))
+        # x, y, z, heading, vx, vy
+        self._state = np.zeros((64, steps, 6))
+        self._driver = np.zeros((64, steps), np.uint8)
+        self._valid = np.zeros((64, steps), bool)
+
+    def add(self, frame: Frame) -> None:
+        """Append one step."""
+        state = np.column_stack(
+            [frame.position_m, frame.z_m, frame.heading_rad, frame.velocity_mps]
+        )
+        self.extend(frame.ids, state[:, None], frame.driver[:, None])
+
+    def extend(self, ids: list[AgentId], state: Floats, driver: Bytes) -> None:
+        """Append K steps of N agents, which are in the order of their appearance.
+
+        Args:
+            ids: (N).
+            state: (N, K, 6) x, y, z, heading, vx, vy; zeros where an agent is absent.
+            driver: (N, K) Driver numbers; NOBODY where an agent is absent.
+        """
+        rows = np.array([self._row_of(agent) for agent in ids], int)
+        steps = slice(self.step + 1, self.step + 1 + driver.shape[1])
+        self.step += driver.shape[1]
+        self._state[rows, steps] = state
+        self._driver[rows, steps] = driver
+        self._valid[rows, steps] = driver != Driver.NOBODY
+
+    def view(
+        self,
+        av_id: AgentId,
+        road: RoadMap,
+        signals: dict[str, SignalState],
+        steps_left: int,
+        av_path_m: Floats | None = None,
+    ) -> View:
+        """The present and the last second of all agents that are present now."""
+        start = max(0, self.step + 1 - HISTORY_STEPS)
+        rows = np.flatnonzero(self._valid[: len(self._row), self.step])
+        return View(
+            step=self.step,
+            dt_s=DT_S,
+            av_id=av_id,
+            history=self._tracks(rows, start, self.step + 1),
+            road=road,
+            signals=signals,
+            steps_left=steps_left,
+            av_path_m=av_path_m,
+            av_recorded_steps=self._recorded_steps(av_id, start + 1),
+        )
+
+    def _recorded_steps(self, agent: AgentId, start: int) -> int:
+        """Number of steps from ``start`` on in which an agent moved as recorded."""
+        row = self._row.get(agent)
+        if row is None:
+            return 0
+        return int((self._driver[row, start : self.step + 1] == Driver.LOG).sum())
+
+    def tracks(self) -> tuple[Tracks, Bytes]:
+        """Everything recorded so far, and the drivers (A, T)."""
+        rows = np.arange(len(self._row))
+        return self._tracks(rows, 0, self.step + 1), self._driver[rows, : self.step + 1]
+
+    def sizes_m(self, ids: list[AgentId]) -> Floats:
+        """(N, 2) length and width of agents."""
+        return self._size_m[[self._row[agent] for agent in ids], :2]
+
+    def _tracks(self, rows: Ints, a: int, b: int) -> Tracks:
+        state = self._state[rows, a:b]
+        listed = rows.tolist()
+        return Tracks(
+            ids=tuple(self._ids[row] for row in listed),
+            kinds=tuple(self._kinds[row] for row in listed),
+            size_m=self._size_m[rows],
+            position_m=state[..., :2],
+            z_m=state[..., 2],
+            heading_rad=state[..., 3],
+            velocity_mps=state[..., 4:],
+            valid=self._valid[rows, a:b],
+        )
+
+    def _row_of(self, agent: AgentId) -> int:
+        row = self._row.get(agent)
+        if row is None:
+            row = self._row[agent] = len(self._row)
+            body = self._body(agent)
+            self._ids.append(agent)
+            self._kinds.append(body.kind)
+            if row == len(self._state):
+                self._size_m, self._state, self._driver, self._valid = (
+                    np.concatenate([array, np.zeros_like(array)])
+                    for array in (self._size_m, self._state, self._driver, self._valid)
+                )
+            self._size_m[row] = body.size_m
+        return row
+
+
+class EpisodeRecord:
+    """One AV under attack: its recorder, the schedule of attacks, and the judge of contacts.
+
+    Whatever steps the world (the loop of an episode, a vectorised world, another program) calls
+    `replan` before a step and `add` after it.
+
+    Args:
+        av_id: the AV.
+        road: the map in views.
+        recorder: has the history up to the current step.
+        frame: the last frame of the history.
+        duration_steps: from the current step to the end.
+        signals: the current states of the lights.
+        schedule: makes the schedule of attacks from the view at the current step.
+
+    Attributes:
+        now, end: the current step of the case, and the last one to simulate.
+        frame: the last one.
+    """
+
+    def __init__(
+        self,
+        av_id: AgentId,
+        road: RoadMap,
+        recorder: Recorder,
+        frame: Frame,
+        duration_steps: int,
+        signals: Callable[[], dict[str, SignalState]],
+        schedule: Callable[[View], AttackSchedule],
+    ) -> None:
+        self._av, self._road, self._signals = av_id, road, signals
+        self.recorder, self.frame = recorder, frame
+        self.now, self.end = recorder.step, recorder.step + duration_steps
+        self.schedule = schedule(self.view())
+        self.judge = Judge(av_id, self.schedule.attackers)
+        self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
+
+    @property
+    def step(self) -> int:
+        """The last step that has happened."""
+        return self.recorder.step
+
+    def view(self, av_path_m: Floats | None = None) -> View:
+        """What a policy sees now, or a planner, which also sees the path ahead of the AV."""
+        left = self.end - self.step
+        return self.recorder.view(self._av, self._road, self._signals(), left, av_path_m)
+
+    def replan(self) -> None:
+        """Let the policy choose attackers or plan, if that is due."""
+        if self.schedule.due(self.step):
+            self.schedule.replan(self.view())
+        if self.schedule.attackers != self.judge.attackers:
+            size_m = self.recorder.sizes_m(self.frame.ids)
+            self.judge.turn_to(self.schedule.attackers, self.step, self.frame, size_m)
+
+    def add(self, frame: Frame) -> bool:
+        """Record and judge a step; returns whether AV and an attacker have ended the episode."""
+        self.recorder.add(frame)
+        self.frame = frame
+        size_m, step = self.recorder.sizes_m(frame.ids), self.step
+        self.judge.look(step, frame, size_m)
+        return self.schedule.after_step(step, frame, size_m, self.judge.hits(step))
+
+    def rollout(
+        self,
+        ended: TurnEnd,
+        events: Sequence[Event] = (),
+        *,
+        seconds: dict[str, float] | None = None,
+        leaders: Sequence[tuple[AgentId, ...] | None] = (),
+        signals: Sequence[dict[str, SignalState]] = (),
+    ) -> Rollout:
+        """The episode up to the last step, which ended it; ``events`` are those of the world."""
+        self.schedule.finish(self.step, ended)
+        tracks, driver = self.recorder.tracks()
+        planned = [event for event in self.schedule.events if event.step <= self.step]
+        return Rollout(
+            tracks=tracks,
+            driver=driver,
+            now=self.now,
+            dt_s=DT_S,
+            av_id=self._av,
+            attackers=self.schedule.of_episode,
+            contacts=tuple(self.judge.contacts),
+            events=tuple(
+                sorted([*events, *planned, *self.judge.events], key=lambda event: event.step)
+            ),
+            plans=tuple(self.schedule.plans),
+            ended=ended,
+            seconds=seconds or {},
+            leaders=tuple(leaders),
+            signals=tuple(signals),
+            turns=self.schedule.closed,
+        )

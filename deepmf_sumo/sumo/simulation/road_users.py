@@ -1,0 +1,138 @@
+"""Who is on the road in a running SUMO: its vehicles on the road, and its persons on foot.
+
+A person in a vehicle is no road user, and neither is a vehicle that SUMO is moving elsewhere (a
+teleport). Containers are none at all: SUMO has them at stops and in vehicles. Persons who wait at a
+stop are on foot.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from deepmf_sumo.scene import AgentId, AgentKind, Floats, agent_ids
+from deepmf_sumo.sumo.simulation.frame import Body, Frame
+from deepmf_sumo.sumo.simulation.long_vehicles import LongVehicles, State
+from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
+
+_KINDS: Final[Mapping[str, AgentKind]] = {
+    **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
+    **dict.fromkeys(("pedestrian", "wheelchair"), "pedestrian"),
+    **dict.fromkeys(("tram", "rail", "rail_urban", "rail_fast", "rail_electric"), "other"),
+    **dict.fromkeys(("subway", "cable_car", "ship", "container", "aircraft", "drone"), "other"),
+}
+"""Of SUMO's vehicle classes those that are not vehicles on roads, and so never attack."""
+_NOWHERE_M: Final = -1e8
+"""Coordinates below are SUMO's way to say that a vehicle is not on the road."""
+
+
+def kind_of(vehicle_class: str) -> AgentKind:
+    """The kind of SUMO's vehicles of a class; ``other`` on rails, on water and in the air."""
+    return _KINDS.get(vehicle_class, "vehicle")
+
+
+def somewhere(position_m: Sequence[float]) -> bool:
+    """Whether a position that SUMO states is one: that of a vehicle in a teleport is not."""
+    return min(position_m[0], position_m[1]) > _NOWHERE_M
+
+
+def on_foot(vehicle: str) -> bool:
+    """Whether a person is, by the vehicle that SUMO states for it."""
+    return not vehicle
+
+
+class Bodies:
+    """Kinds and sizes of the agents of a running SUMO, which is asked once for each.
+
+    Args:
+        api: a running SUMO.
+        av_id: is one box, of whatever length; None: no vehicle is the AV.
+
+    Attributes:
+        bent: the vehicles that are several boxes (`long_vehicles`). They and their parts are of the
+            kind ``other``: a policy could not drive them.
+    """
+
+    def __init__(self, api: SumoApi, av_id: AgentId | None = None) -> None:
+        self._api, self._av = api, av_id
+        self._known: dict[AgentId, Body] = {}
+        self.bent: set[AgentId] = set()
+        self.long = LongVehicles(api)
+
+    def __getitem__(self, agent: AgentId) -> Body:
+        """Of an agent that has been asked for; raises KeyError for others."""
+        return self._known[agent]
+
+    def ask(self, agent: AgentId) -> Body:
+        """Of an agent that is present, or has been asked for before."""
+        body = self._known.get(agent)
+        if body is None:
+            person = agent_ids.person_of(agent)
+            domain = self._api.vehicle if person is None else self._api.person
+            name = agent if person is None else person
+            size = (domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
+            permission = str(domain.getVehicleClass(name))
+            kind = kind_of(permission) if person is None else "pedestrian"
+            length, width, height = (float(value) for value in size)
+            body = self._known[agent] = Body(kind=kind, size_m=(length, width, height))
+            if person is None and agent != self._av:
+                self._bend(agent, width, height)
+        return self._known[agent]
+
+    def _bend(self, agent: AgentId, width: float, height: float) -> None:
+        """Make the boxes of a vehicle that bends known."""
+        for number, length in enumerate(self.long.lengths_m(agent), 1):
+            self.bent.add(agent)
+            part = agent if number == 1 else agent_ids.of_part(agent, number)
+            self._known[part] = Body(kind="other", size_m=(length, width, height))
+
+    def stiffened(self) -> str:
+        """What to say of an AV that SUMO would let bend; empty for another one."""
+        count = len(self.long.lengths_m(self._av)) if self._av is not None else 0
+        return f"a vehicle of {count} carriages in SUMO is one stiff box here" if count else ""
+
+    def sizes_m(self, listed: Sequence[AgentId]) -> Floats:
+        """(N, 2) length and width."""
+        return np.array([self._known[one].size_m[:2] for one in listed]).reshape(-1, 2)
+
+
+class TrafficReader:
+    """All road users of a running SUMO; ``av_id``: see `Bodies`."""
+
+    def __init__(self, api: SumoApi, av_id: AgentId | None = None) -> None:
+        self._api = api
+        self.bodies = Bodies(api, av_id)
+
+    def body(self, agent: AgentId) -> Body:
+        """Kind and size; raises KeyError for an agent that was never read."""
+        return self.bodies[agent]
+
+    def read(self) -> Frame:
+        """All road users, vehicles before persons, sorted by id; parts follow their vehicle."""
+        states = self.states()
+        ids = list(states)
+        return Frame.of_sumo(ids, list(states.values()), self.bodies.sizes_m(ids)[:, 0])
+
+    def states(self) -> dict[AgentId, State]:
+        """As `read`, in SUMO's terms: for a reader of many steps, which converts all together."""
+        states: dict[AgentId, State] = {}
+        for domain, name, agent in self._present():
+            x_m, y_m, z_m = domain.getPosition3D(name)
+            if not somewhere((x_m, y_m)):
+                continue
+            self.bodies.ask(agent)
+            speed_mps = max(0.0, domain.getSpeed(name))  # far below 0 where SUMO has none yet
+            state = (x_m, y_m, domain.getAngle(name), speed_mps, z_m)
+            if agent in self.bodies.bent:
+                states |= self.bodies.long.boxes(agent, state)
+            else:
+                states[agent] = state
+        return states
+
+    def _present(self) -> Iterator[tuple[Any, str, AgentId]]:
+        """SUMO's domain and id of all candidates, and their agents."""
+        vehicle, person = self._api.vehicle, self._api.person
+        yield from ((vehicle, name, name) for name in sorted(vehicle.getIDList()))
+        for name in sorted(person.getIDList()):
+            if on_foot(person.getVehicle(name)):
+                yield person, name, agent_ids.of_person(name)

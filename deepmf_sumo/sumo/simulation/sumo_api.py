@@ -1,0 +1,199 @@
+"""SUMO: how it is started and always closed, its errors, and the vehicle types of the runs.
+
+libsumo runs SUMO inside this process (one simulation a process); traci talks to a SUMO process,
+which is slower, and needed for sumo-gui. Both satisfy `SumoApi`.
+"""
+
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, Literal, Protocol, cast
+
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.scene import VehicleModel
+from deepmf_sumo.sumo.simulation import sumo_words
+
+Backend = Literal["libsumo", "traci", "gui"]
+
+STEP_OPTIONS = (
+    *("--step-length", "0.1"),
+    *("--collision.action", "none"),  # contacts are judged by boxes; SUMO must not move vehicles
+    *("--no-step-log", "true"),
+    *("--duration-log.disable", "true"),
+    *("--no-warnings", "true"),
+    *("--xml-validation", "never"),
+)
+"""Options of every simulation."""
+
+_SEEDS: Final = 2**31
+"""SUMO reads seeds below."""
+_NO_PORT: Final = ("--remote-port", "0")
+"""A configuration may ask for a port, on which SUMO would wait for a client."""
+
+
+def sumo_seed(seed: int) -> int:
+    """SUMO's seed for that of a run: the same one, or one below 2**31 for those that are larger."""
+    return seed % _SEEDS
+
+
+class SumoApi(Protocol):
+    """The used domains of TraCI, under TraCI's own names.
+
+    Positions are front bumpers, angles degrees clockwise from north (`scene.geometry.frames`). Most
+    calls on a vehicle that is not inserted yet end the process: check ``vehicle.getIDList`` first.
+    """
+
+    vehicle: Any
+    person: Any
+    edge: Any
+    lane: Any
+    route: Any
+    simulation: Any
+    trafficlight: Any
+    vehicletype: Any
+    gui: Any  # only with sumo-gui
+    TraCIException: type[Exception]
+    FatalTraCIError: type[Exception]
+
+    def start(self, cmd: list[str]) -> Any:
+        """Start SUMO with a command line."""
+        ...
+
+    def simulationStep(self, time: float = 0.0) -> Any:  # noqa: N802
+        """One step, or all steps up to a time."""
+        ...
+
+    def close(self) -> None:
+        """End the simulation."""
+        ...
+
+
+@contextmanager
+def running(
+    arguments: Sequence[str],
+    backend: Backend = "libsumo",
+    *,
+    folder: Path | None = None,
+    runs_already: bool = False,
+) -> Iterator[SumoApi]:
+    """SUMO from start to end; its errors inside the context are raised as SimulationError.
+
+    Args:
+        arguments: of the command line.
+        backend: how it is run.
+        folder: where the arguments let it write its messages (`sumo_words`).
+        runs_already: it was started with these arguments, and is at the wanted time.
+    """
+    api = _api(backend)
+    refusals = (api.TraCIException, api.FatalTraCIError)
+    command = [_binary(backend), *arguments, *_of_backend(backend)]
+    started = runs_already
+    try:
+        if not runs_already:
+            api.start(command)
+        started = True
+        yield api
+    except refusals as error:
+        # repr() of libsumo's errors is the name of a wrapper object; str() is the message
+        reason = str(error).strip() if started else _why_not(arguments, str(error).strip())
+        with suppress(*refusals):
+            api.close()  # only then is all that it said in its file
+        words = reason if folder is None else sumo_words.before(reason, folder)
+        raise SimulationError(f"SUMO refused{_what(arguments)}: {words}") from error
+    finally:
+        with suppress(*refusals):
+            api.close()
+
+
+def _what(arguments: Sequence[str]) -> str:
+    """The configuration of a started SUMO, for the message."""
+    return f" '{arguments[1]}'" if arguments[:1] == ["-c"] else ""
+
+
+def _why_not(arguments: Sequence[str], error: str) -> str:
+    """Why SUMO did not start: libsumo says `Process Error`, the program says more."""
+    program = [_binary("libsumo"), *arguments, *_NO_PORT]
+    for option in ("--begin", "--end"):
+        if option in program:
+            program[program.index(option) + 1] = "0"
+        else:
+            program += [option, "0"]
+    try:
+        run = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return error
+    lines = [line.removeprefix("Error: ").strip() for line in run.stderr.splitlines()]
+    return " ".join(line for line in lines if not line.startswith("Quitting")) or error
+
+
+def load() -> None:
+    """Load libsumo into this process, whose copies share it then."""
+    _api("libsumo")
+
+
+def _api(backend: Backend) -> SumoApi:
+    if backend == "libsumo":
+        import libsumo
+
+        return cast("SumoApi", libsumo)
+    import traci
+
+    return cast("SumoApi", traci)
+
+
+def _binary(backend: Backend) -> str:
+    import sumo
+
+    home = Path(sumo.SUMO_HOME)
+    os.environ.setdefault("SUMO_HOME", str(home))
+    name = "sumo-gui" if backend == "gui" else "sumo"
+    return str(home / "bin" / name)
+
+
+def _of_backend(backend: Backend) -> tuple[str, ...]:
+    if backend == "libsumo":
+        return _NO_PORT
+    if backend == "traci":
+        return ()
+    # no delay on the way to the start; from there on `gui` keeps time
+    shown = ("--window-size", "1200,800", "--start", "true", "--quit-on-end", "true")
+    return (*shown, "--delay", "0")
+
+
+AV_TYPE = "deepmf_av"
+PLACED_TYPE = "deepmf_placed"
+TRAFFIC_TYPE = "deepmf_traffic"
+ANY_ROUTE = "deepmf_any"
+"""Route of vehicles without a route of their own."""
+
+# A placed vehicle must be able to have any speed of the log, else SUMO clamps the speed that
+# followers see; apparentDecel is the braking that they expect of it. It may use all lanes.
+_PLACED = (
+    f'<vType id="{PLACED_TYPE}" vClass="ignoring" speedFactor="10" speedDev="0" maxSpeed="100" '
+    'accel="1000" decel="1000" emergencyDecel="1000" apparentDecel="4.5"/>'
+)
+_TRAFFIC = (
+    f'<vType id="{TRAFFIC_TYPE}" carFollowModel="IDM" accel="1.5" decel="2" emergencyDecel="8" '
+    'tau="1.5" minGap="2" speedFactor="1" speedDev="0"/>'
+)
+
+
+def write_types(path: Path, model: VehicleModel | None) -> Path:
+    """Write an additional file with the types; without a model there is no AV type."""
+    lines = [_PLACED, _TRAFFIC]
+    if model is not None:
+        lines.append(_av_type(model))
+    path.write_text("<additional>\n    " + "\n    ".join(lines) + "\n</additional>\n", "utf-8")
+    return path
+
+
+def _av_type(model: VehicleModel) -> str:
+    fastest = "" if model.desired_mps is None else f'maxSpeed="{model.desired_mps:g}" '
+    return (
+        f'<vType id="{AV_TYPE}" carFollowModel="IDM" accel="{model.accel_mps2:g}" '
+        f'decel="{model.decel_mps2:g}" emergencyDecel="{model.emergency_mps2:g}" '
+        f'tau="{model.headway_s:g}" minGap="{model.gap_m:g}" delta="{model.exponent:g}" '
+        f'{fastest}speedFactor="1" speedDev="0"/>'
+    )

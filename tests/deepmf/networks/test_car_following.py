@@ -1,0 +1,102 @@
+"""A driver who follows cars, on every path, behind a vehicle whose future is given."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepmf_sumo.deepmf.networks import car_following, conditioning
+from deepmf_sumo.deepmf.networks.car_following import Road
+from deepmf_sumo.deepmf.networks.config import VECTOR
+
+STRAIGHT = torch.stack([torch.arange(121) * 2.0, torch.zeros(121)], -1)
+
+
+def road(speed=10.0, limit=15.0, agents=()):
+    """One straight path; ``agents`` are (along, left, speed) of vehicles on it."""
+    rows = torch.zeros(1, 1, 8, 8)
+    for row, (along, left, pace) in enumerate(agents):
+        rows[0, 0, row] = torch.tensor([along, left, pace, 0.0, 1.0, 0.0, 5.0, 1.0])
+    return Road(
+        paths=STRAIGHT[None, None],
+        limit_mps=torch.tensor([[limit]]),
+        speed_mps=torch.tensor([speed]),
+        agents=rows,
+    )
+
+
+def given(x, y, heading=0.0):
+    """One future; x and y are numbers, or of all 80 steps."""
+    position = torch.zeros(1, 1, 80, 2)
+    position[..., 0] = torch.as_tensor(x, dtype=torch.float32)
+    position[..., 1] = torch.as_tensor(y, dtype=torch.float32)
+    turned = torch.full((1, 1, 80), heading)
+    return conditioning.encode(position, turned, torch.ones(1, 1), VECTOR)
+
+
+FAR = given(0.0, 500.0)
+
+
+def driven(road, future):
+    return car_following.followed(road, future)[0, 0, 0].numpy()
+
+
+def test_with_nobody_ahead_it_gathers_speed_up_to_the_limit():
+    along = driven(road(), FAR)
+    speed = np.diff(along, prepend=0.0) / 0.5
+    assert np.all(np.diff(speed) > 0)
+    assert 13.0 < speed[-1] < 15.0
+    assert driven(road(limit=0.0), FAR)[-1] < along[-1], "12 m/s where no limit is known"
+
+
+def test_it_stops_behind_who_stands_in_its_way():
+    along = driven(road(), given(60.0, 0.0))
+    assert 60.0 - 4.8 - 4.0 < along[-1] < 60.0 - 4.8
+    assert np.all(np.diff(along) >= 0)
+    aside = driven(road(), given(60.0, 3.5))
+    assert aside[-1] == pytest.approx(driven(road(), FAR)[-1], abs=1e-3)
+    across = driven(road(), given(60.0, 3.0, heading=np.pi / 2))
+    assert across[-1] < 60.0, "a vehicle across reaches farther to its sides"
+
+
+def test_it_brakes_while_somebody_crosses_and_goes_on():
+    """From the right at 5 m/s, on the path at about 3 s."""
+    crossing = given(50.0, torch.arange(1, 81) * 0.5 - 15.0, heading=np.pi / 2)
+    speed = np.diff(driven(road(), crossing), prepend=0.0) / 0.5
+    free = np.diff(driven(road(), FAR), prepend=0.0) / 0.5
+    assert speed[:4] == pytest.approx(free[:4], abs=0.01), "not before it is there"
+    assert speed[7] < free[7] - 3.0
+    assert np.all(np.diff(speed[8:]) > 0)
+
+
+def test_it_follows_who_is_ahead_already_but_the_given_one_only_as_given():
+    behind = driven(road(agents=[(40.0, 0.0, 0.0)]), FAR)
+    assert behind[-1] < 40.0 - 4.0
+    same = driven(road(agents=[(40.0, 0.0, 0.0)]), given(40.0 + torch.arange(80) * 1.5, 0.0))
+    assert same[-1] > 60.0, "it does not stand there, as its motion now would say"
+
+
+def test_who_is_passed_leads_no_more():
+    assert driven(road(), given(-20.0, 0.0))[-1] == pytest.approx(driven(road(), FAR)[-1], abs=1e-3)
+
+
+def test_goals_are_compared_with_it_at_all_times():
+    future = given(60.0, 0.0)
+    same = torch.from_numpy(driven(road(), future))
+    goals = torch.stack([same, same + torch.arange(1, 17)])[None, None]  # (1, 1, 2, 16)
+    found = car_following.relations(road(), goals, future)[0, 0, 0]
+    assert found.shape == (2, car_following.FOLLOWING)
+    assert found[0].tolist() == pytest.approx([0, 0, 0, 0, 1, 1], abs=1e-5)
+    assert found[1, :4].tolist() == pytest.approx([0.4, 0.8, 1.2, 1.6], abs=1e-5)
+    assert found[1, 4] < found[1, 5] < 1.0
+
+
+def test_each_future_has_a_follower_of_its_own():
+    both = conditioning.encode(
+        torch.cat([given(60.0, 0.0).position_m, FAR.position_m], 1),
+        torch.zeros(1, 2, 80),
+        torch.ones(1, 2),
+        VECTOR,
+    )
+    along = car_following.followed(road(), both)[0, :, 0]
+    assert along[0].numpy() == pytest.approx(driven(road(), given(60.0, 0.0)), abs=1e-4)
+    assert along[1].numpy() == pytest.approx(driven(road(), FAR), abs=1e-4)

@@ -1,0 +1,100 @@
+"""A changed signal shows in SUMO what was asked for, whatever controls it."""
+
+import itertools
+import subprocess
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import sumo
+
+from deepmf_sumo.errors import UsageError
+from deepmf_sumo.roadcheck import countermeasures
+from deepmf_sumo.roadcheck.countermeasures import shown, signals
+
+from tests.support import crossing_network
+
+SUMO = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+ROUTES = """<routes><route id="over" edges="west east far"/><route id="up" edges="south north"/>
+<flow id="o" begin="0" end="200" period="6" route="over"/>
+<flow id="u" begin="0" end="200" period="7" route="up"/></routes>"""
+WANTED = "version: 1\nchanges:\n  - {signal: mid, yellow_s: 5, all_red_s: 2}\n"
+
+
+def crossing(folder, control):
+    return crossing_network.build(
+        folder, "--tls.default-type", control, middle="traffic_light", routes=ROUTES
+    )
+
+
+def built(config, text=WANTED):
+    file = config.parent / "changes.yaml"
+    file.write_text(text)
+    return countermeasures.build(config, countermeasures.load(file), config.parent / "out")
+
+
+def runs_of(config, folder):
+    """(seconds, state) of the light as plain SUMO shows it, second by second."""
+    more = folder / "watch.add.xml"
+    more.write_text('<additional><timedEvent type="SaveTLSStates" source="mid" dest="s.xml"/>'
+                    "</additional>")  # fmt: skip
+    command = [str(SUMO), "-c", str(config), "-a", str(more), "--end", "200", "--no-step-log"]
+    subprocess.run(command, check=True, capture_output=True)
+    states = [one.get("state") for one in ET.parse(folder / "s.xml").iter("tlsState")]
+    changes = [0, *(at for at in range(1, len(states)) if states[at] != states[at - 1])]
+    return [(end - at, states[at]) for at, end in itertools.pairwise(changes)]
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("control", ["static", "actuated", "delay_based", "NEMA"])
+def test_yellow_and_all_red_are_those_asked_for(control, tmp_path):
+    found = built(crossing(tmp_path, control))
+    assert found.done[-1] == "signal 'mid': SUMO shows what was asked for"
+    runs = runs_of(found.after, tmp_path)
+    yellows = {seconds for seconds, state in runs if "y" in state.lower()}
+    pauses = {seconds for seconds, state in runs if set(state) == {"r"}}
+    assert (yellows, pauses) == ({5}, {2})
+
+
+@pytest.mark.sumo
+def test_a_controller_that_ignores_the_change_is_refused(tmp_path, monkeypatch):
+    """As phases added to a NEMA program are, which that controller does not read."""
+    monkeypatch.setattr(signals, "NEMA", "unknown")
+    with pytest.raises(UsageError, match=r"SUMO shows 3\.0 s of yellow .* 5 s were asked for"):
+        built(crossing(tmp_path, "NEMA"))
+
+
+@pytest.mark.sumo
+def test_left_turns_of_a_nema_controller_are_refused(tmp_path):
+    wanted = WANTED.replace("yellow_s: 5, all_red_s: 2", "protected_left_s: 8")
+    with pytest.raises(UsageError, match="is a NEMA controller"):
+        built(crossing(tmp_path, "NEMA"), wanted)
+
+
+def meet(one, other):
+    return {one, other} == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("states", "found"),
+    [
+        ([(0, "Gr"), (10, "yr"), (13, "rr"), (14, "rG"), (20, "ry"), (24, "Gr")],
+         [("yellow", 3.0, 0, 10.0), ("all-red", 1.0, 1, 13.0), ("all-red", 0.0, 0, 24.0)]),
+        ([(0, "Gr"), (10, "rr"), (14, "rG")], [("yellow", 0.0, 0, 10.0)]),
+        ([(0, "Gr"), (10, "yr"), (14, "rr"), (16, "rG")], []),
+        ([(0, "Gr"), (10, "yr"), (12, "Yr"), (14, "rr"), (16, "rG")], []),
+        ([(0, "Gr"), (10, "yr"), (12, "Gr")], []),  # it goes on: no yellow has ended
+        ([(0, "Gr"), (10, "yr"), (14.0, "rg")], [("all-red", 0.0, 1, 14.0)]),
+        ([(0, "rrr")], []),
+        ([], []),
+    ],
+)  # fmt: skip
+def test_times_that_are_too_short(states, found):
+    wanted = {"yellow": 4.0, "all-red": 2.0}
+    assert [tuple(one) for one in shown.too_short(states, meet, wanted)] == found
+
+
+def test_ways_that_do_not_meet_may_follow_immediately():
+    states = [(0, "GrG"), (10, "yrG"), (14, "rrG"), (14.5, "rrg"), (15, "rrr"), (15.1, "rGr")]
+    found = list(shown.too_short(states, lambda one, other: False, {"all-red": 2.0}))
+    assert found == []

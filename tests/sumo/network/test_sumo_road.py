@@ -1,0 +1,194 @@
+import gzip
+import os
+
+import numpy as np
+import pytest
+import shapely
+import sumolib
+
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.sumo import network
+from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.network.sumo_road import road_of_net, road_once, signal_links
+
+pytestmark = pytest.mark.sumo
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    """Four signalled junctions, two lanes each way, with sidewalks and crossings."""
+    file = tmp_path_factory.mktemp("grid") / "grid.net.xml"
+    sumo_tools.run(
+        *("netgenerate", "--grid", "--grid.number", "2", "--grid.length", "100"),
+        *("--grid.attach-length", "80", "-L", "2", "--default.speed", "13.0"),
+        *("--sidewalks.guess", "--crossings.guess"),
+        *("--default-junction-type", "traffic_light", "-o", str(file)),
+    )
+    return file
+
+
+def test_a_converted_net_gives_the_scenes_lanes_back(crossing, tmp_path):
+    net = network.convert(crossing, tmp_path / "net")
+    road = road_of_net(net.file, [net.additional])
+    assert set(road.lanes) == set(net.lane_of)
+    begin = net.pieces["in0"][0].sumo_lane
+    lane = road.lanes[begin]
+    assert lane.kind == "street"
+    assert lane.speed_limit_mps == 15.0
+    assert lane.width_m == 3.3
+    assert lane.centre_m[0] == pytest.approx([-90.0, -1.75])
+    assert {net.lane_of[key] for key in lane.next} == {("S0",), ("L0",), ("R0",)}
+    assert road.lanes[net.pieces["over"][0].sumo_lane].kind == "freeway"
+    assert road.lanes[net.pieces["bike"][0].sumo_lane].kind == "bike"
+    assert [shape.kind for shape in road.polygons] == ["crosswalk"]
+
+
+def test_joins_lead_over_the_lanes_inside_junctions_and_back(grid):
+    road = road_of_net(grid)
+    for lane in road.lanes.values():
+        assert all(lane.id in road.lanes[after].previous for after in lane.next)
+        if lane.interpolating:
+            assert lane.next
+            assert lane.previous
+        else:
+            assert all(road.lanes[after].interpolating for after in lane.next)
+        for after in lane.next:
+            gap = np.hypot(*(lane.centre_m[-1] - road.lanes[after].centre_m[0]))
+            assert gap < 0.1
+
+
+def test_neighbours_face_each_other(grid):
+    road = road_of_net(grid)
+    pairs = [(lane.id, other.lane_id) for lane in road.lanes.values() for other in lane.left]
+    assert len(pairs) >= 24
+    for right, left in pairs:
+        assert [other.lane_id for other in road.lanes[left].right] == [right]
+        ahead = road.lanes[right].centre_m[-1] - road.lanes[right].centre_m[0]
+        aside = road.lanes[left].centre_m[0] - road.lanes[right].centre_m[0]
+        assert ahead[0] * aside[1] - ahead[1] * aside[0] > 0
+
+
+def test_pedestrians_ways_are_no_lanes_but_their_crossings_are_drawn(grid):
+    road = road_of_net(grid)
+    assert not any("_w" in lane_id or "_c" in lane_id for lane_id in road.lanes)
+    crosswalks = [shape for shape in road.polygons if shape.kind == "crosswalk"]
+    assert len(crosswalks) == 16
+    assert all(len(shape.points_m) == 4 for shape in crosswalks)
+
+
+def test_road_edges_do_not_lie_across_lanes(grid):
+    road = road_of_net(grid)
+    centres = [
+        shapely.LineString(lane.centre_m).segmentize(1.0)
+        for lane in road.lanes.values()
+        if not lane.interpolating
+    ]
+    crossed = sum(
+        line.crosses(shapely.LineString(edge.points_m)) for edge in road.edges for line in centres
+    )
+    assert crossed == 0
+    assert road.lines
+
+
+def test_corners_of_pavements_are_not_road_edges(grid):
+    """Walking areas as sumolib reads them lie outside of all edges, and lanes along all of them."""
+    road, net = road_of_net(grid), sumolib.net.readNet(str(grid), withInternal=True)
+    pavement = shapely.union_all(
+        [
+            shapely.Polygon(edge.getLanes()[0].getShape()).buffer(-0.1)
+            for edge in net.getEdges()
+            if edge.getFunction() == "walkingarea"
+        ]
+    )
+    lanes = shapely.union_all([shapely.LineString(one.centre_m) for one in road.lanes.values()])
+    edges = [shapely.LineString(one.points_m) for one in road.edges]
+    assert len(edges) > 16
+    assert not any(one.intersects(pavement) for one in edges)
+    assert max(one.centroid.distance(lanes) for one in edges) < 3.0
+
+
+def test_lights_are_those_of_the_lane_behind_them(grid):
+    import xml.etree.ElementTree as ET
+
+    links = signal_links(grid)
+    road = road_of_net(grid)
+    assert links
+    assert set(links) <= set(road.lanes)
+    assert all(road.lanes[lane_id].interpolating for lane_id in links)
+    for connection in ET.parse(grid).getroot().iter("connection"):
+        if connection.get("tl") and not connection.get("from").startswith(":"):
+            link = links[connection.get("via")][0]
+            assert (link.light, link.index) == (
+                connection.get("tl"),
+                int(connection.get("linkIndex")),
+            )
+
+
+def test_stops_are_where_the_nets_links_stop(stop_crossing, tmp_path):
+    net = network.convert(stop_crossing(4), tmp_path / "net")
+    signs = road_of_net(net.file).stop_signs
+    assert {net.lane_of[sign.lane_ids[0]] for sign in signs} == {(f"in{arm}",) for arm in range(4)}
+    assert all(np.abs(sign.position_m).max() == pytest.approx(12.0) for sign in signs)
+
+
+def test_a_packed_net_is_the_same(grid, tmp_path):
+    packed = tmp_path / "grid.net.xml.gz"
+    packed.write_bytes(gzip.compress(grid.read_bytes()))
+    assert road_of_net(packed).lanes.keys() == road_of_net(grid).lanes.keys()
+
+
+@pytest.mark.parametrize("content", [b"", b"<net><edge", b"<additional/>", b"\x1f\x8b123"])
+def test_what_is_no_net_is_an_error_that_names_the_file(tmp_path, content):
+    file = tmp_path / "bad.net.xml"
+    file.write_bytes(content)
+    with pytest.raises(SimulationError, match=r"bad\.net\.xml"):
+        road_of_net(file)
+
+
+@pytest.mark.parametrize("root", ["additional", "add", "configuration"])
+def test_the_root_of_an_additional_file_may_be_called_anything(grid, tmp_path, root):
+    shape = '<poly id="p" type="crosswalk" shape="0,0 4,0 4,4 0,4"/>'
+    (tmp_path / "a.add.xml").write_text(f"<{root}>{shape}</{root}>")
+    plain = road_of_net(grid).polygons
+    names = [shape.id for shape in road_of_net(grid, [tmp_path / "a.add.xml"]).polygons]
+    assert names == [*(shape.id for shape in plain), "p"]
+
+
+def test_a_road_is_read_again_where_its_file_has_changed(grid, tmp_path):
+    file = tmp_path / "own.net.xml"
+    file.write_bytes(grid.read_bytes())
+    road = road_once(file)
+    assert road_once(file) is road
+    os.utime(file, ns=(0, 0))
+    assert road_once(file) is not road
+    assert road_once(file).lanes.keys() == road.lanes.keys()
+    file.unlink()
+    with pytest.raises(SimulationError, match=r"own\.net\.xml"):
+        road_once(file)
+
+
+def test_a_missing_net_is_an_error_that_names_the_file(tmp_path):
+    with pytest.raises(SimulationError, match=r"none\.net\.xml"):
+        road_of_net(tmp_path / "none.net.xml")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (' speed="13.00"', ' speed="inf"', "speed of <lane> .* is 'inf', not a number"),
+        (' speed="13.00"', ' speed="1e400"', "speed of <lane> .* is '1e400', not a number"),
+        (' speed="13.00"', ' speed="fast"', "speed of <lane> .* is 'fast', not a number"),
+        (' linkIndex="0"', ' linkIndex="x"', "linkIndex of <connection> .* is 'x', not a number"),
+        (' shape="', ' shape="a,b ', "the shape 'a,b .* is not a list of x,y or x,y,z"),
+        (' shape="', ' shape="nan,1 ', "the shape 'nan,1 .* has numbers that are not finite"),
+        (' shape="', ' shape="1 ', "the shape '1 .* is not a list of x,y or x,y,z"),
+    ],
+)
+def test_attributes_that_are_no_numbers_are_named_with_the_file(
+    grid, tmp_path, before, after, said
+):
+    text = grid.read_text()
+    assert before in text
+    (tmp_path / "bad.net.xml").write_text(text.replace(before, after, 1))
+    with pytest.raises(SimulationError, match=rf"bad\.net\.xml is not a network of SUMO: {said}"):
+        road_of_net(tmp_path / "bad.net.xml")

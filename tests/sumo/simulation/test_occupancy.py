@@ -1,0 +1,51 @@
+"""Which agents touch a vehicle, and which are in its way."""
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.scene import Driver
+from deepmf_sumo.sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.sumo.simulation.occupancy import Occupancy
+
+
+def around(agents, av="av"):
+    poses = {
+        name: (Pose(x_m=x, y_m=y, heading_rad=0.0, speed_mps=speed, z_m=z), Driver.SUMO)
+        for name, (x, y, speed, z) in agents.items()
+    }
+    size_m = np.tile([4.8, 2.0], (len(agents), 1))
+    return Occupancy(frame=Frame.of_poses(poses), size_m=size_m, av_id=av)
+
+
+AHEAD = [Pose(x_m=0.5 * step, y_m=0.0, heading_rad=0.0, speed_mps=5.0) for step in range(1, 15)]
+
+
+def test_overlaps_but_with_one():
+    agents = {"ov": (0, 0, 0, 0), "av": (0, 0, 0, 0)}
+    assert not around(agents).touched("ov")
+    assert around(agents, av="").touched("ov")
+
+
+@pytest.mark.parametrize(
+    ("other", "free"),
+    [
+        ((10.0, 0.0, 0.0, 0.0), False),
+        ((10.0, 0.0, 5.0, 0.0), True),  # it drives ahead as fast
+        ((10.0, 0.0, 0.0, 6.0), True),  # on the bridge above
+        ((10.0, 3.5, 0.0, 0.0), True),
+        ((-20.0, 0.0, 25.0, 0.0), False),  # it comes from behind
+        ((4.0, 0.0, 0.0, 0.0), True),  # it touches already
+    ],
+)
+def test_what_is_in_the_way(other, free):
+    assert around({"ov": (0.0, 0.0, 5.0, 0.0), "other": other}).clear("ov", AHEAD) is free
+
+
+def test_a_vehicle_of_several_boxes_is_not_in_its_own_way():
+    agents = {"ov": (0.0, 0.0, 5.0, 0.0), "ov part 2": (-4.0, 0.0, 5.0, 0.0)}
+    assert not around(agents).touched("ov")
+    assert around({**agents, "ov part 2": (3.0, 0.0, 0.0, 0.0)}).clear("ov", AHEAD)
+
+
+def test_nothing_is_in_the_way_of_an_absent_one():
+    assert around({"other": (3.0, 0.0, 0.0, 0.0)}).clear("ov", AHEAD)
