@@ -65,11 +65,12 @@ bench: $(READY)  ## speed and memory, as ratios and milliseconds side by side
 WOMD ?= ../shared/womd
 OPEN := .cache/open-scenes
 TRAIN := $(RUN) train
-FEATURES := --cache .cache/features --jobs 2 --seed 1
+OPEN_LICENCE := --set "licence=own SUMO traffic; Apache-2.0"
+FEATURES := --cache .cache/features --jobs 2 --set seed=1
 train: $(READY) open-weights  ## train the weights of the package, from our own SUMO traffic alone
 
 open-scenes: $(READY)  ## record the SUMO traffic that `open` is trained on: 68 networks, 3000 scenes
-	$(RUN) data record $(foreach net,arterial four_way highway roundabout rural,sumo_nets/$(net)/$(net).sumocfg) --generate mix --networks 63 --scenes 45 --avs 3 --seed 1 \
+	$(RUN) data record $(foreach net,arterial four_way highway roundabout rural,sumo_nets/$(net)/$(net).sumocfg) --generate mix --networks 63 --scenes 45 --set avs=3 --seed 1 \
 	    --jobs 2 --out $(OPEN)
 
 open-test-scenes: $(READY)  ## record traffic of other networks, to evaluate on
@@ -99,37 +100,37 @@ reactions: $(READY)  ## attack recordings (SCENES=, OUT=, WEIGHTS=, PARTS=) to l
 	$(REACT) $(call seen,lane) $(call drawn,4,argmax) $(call part,2) --out $(OUT)/drawn-4 $(some)
 
 open-weights: open-scenes  ## record SUMO traffic, attack it, and train the set `open`
-	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) marginal --steps 1500 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) opponent --data $(OPEN) --name open $(FEATURES) $(OPEN_LICENCE)
+	$(TRAIN) marginal --set steps=1500 --data $(OPEN) --name open $(FEATURES) $(OPEN_LICENCE)
 	$(MAKE) reactions SCENES=$(OPEN) OUT=.cache/open-reactions WEIGHTS=open PARTS=8
-	$(TRAIN) conditional --steps 1500 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
-	    --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) strive --steps 800 --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
-	$(TRAIN) diffscene --data $(OPEN) --name open $(FEATURES) --licence "own SUMO traffic; Apache-2.0"
+	$(TRAIN) conditional --set steps=1500 --data $(OPEN)=0.5 --data .cache/open-reactions=0.5 --name open $(FEATURES) \
+	    $(OPEN_LICENCE)
+	$(TRAIN) strive --set steps=800 --data $(OPEN) --name open $(FEATURES) $(OPEN_LICENCE)
+	$(TRAIN) diffscene --data $(OPEN) --name open $(FEATURES) $(OPEN_LICENCE)
 
-WOMD_SET = $(FEATURES) --licence "Waymo Open Motion Dataset: non-commercial, not to be published"
+WOMD_SET = $(FEATURES) --set "licence='Waymo Open Motion Dataset: non-commercial, not to be published'"
 WOMD_DATA = --data $(WOMD)/train=0.55 --data .cache/womd-reactions=0.45
 womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's licence forbids publishing)
 	$(TRAIN) opponent --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
-	$(TRAIN) marginal --members 2 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) marginal --set members=2 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
-	$(TRAIN) conditional --precision auto $(WOMD_DATA) --out .weights/womd $(WOMD_SET)
+	$(TRAIN) conditional --set precision=auto $(WOMD_DATA) --out .weights/womd $(WOMD_SET)
 	test ! -d $(WOMD)/val || $(RUN) evaluate $(WOMD)/val --weights .weights/womd --card
 
 LIGHT = .weights/womd-light
 womd-light-weights: womd-weights  ## besides, the set `womd-light`: all networks with small images
 	mkdir -p $(LIGHT) && cp .weights/womd/opponent.* $(LIGHT)
-	$(TRAIN) marginal --preset light --steps 1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
-	$(TRAIN) conditional --preset light --steps 2500 --precision auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)
+	$(TRAIN) marginal --set preset=light --set steps=1500 --data $(WOMD)/train --out $(LIGHT) $(WOMD_SET)
+	$(TRAIN) conditional --set preset=light --set steps=2500 --set precision=auto $(WOMD_DATA) --out $(LIGHT) $(WOMD_SET)
 
 DENSE = .weights/womd-dense
 womd-dense-weights: womd-weights  ## besides, the set `womd-dense`: DenseTNT's goals, as in the paper
 	mkdir -p $(DENSE) && cp .weights/womd/opponent.* $(DENSE)
-	$(TRAIN) marginal --preset dense --data $(WOMD)/train --out $(DENSE) $(WOMD_SET)
-	$(TRAIN) conditional --preset dense $(WOMD_DATA) --out $(DENSE) $(WOMD_SET)
+	$(TRAIN) marginal --set preset=dense --data $(WOMD)/train --out $(DENSE) $(WOMD_SET)
+	$(TRAIN) conditional --set preset=dense $(WOMD_DATA) --out $(DENSE) $(WOMD_SET)
 
 womd-baselines: $(READY)  ## the motion priors of the baselines STRIVE and DiffScene for the set `womd`
-	$(TRAIN) strive --steps 800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
+	$(TRAIN) strive --set steps=800 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 	$(TRAIN) diffscene --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 
 docs: $(READY)  ## build the documentation into build/site; broken links and anchors are errors

@@ -90,14 +90,12 @@ def attack(
     until_s: float | None = None,
     prefer: Literal["both", "spread", "encounters"] | None = None,
     draw: Literal["spread", "promising"] | None = None,
-    encounters: bool = False,
     moments_of: str | Path | None = None,
     duration_s: float | None = None,
     opponents: Literal["one", "in_turn"] | None = None,
     tries: int | None = None,
     planner: str | Mapping[str, Any] | None = None,
     profile: spec.ProfileName | None = None,
-    all_conflicts: bool = False,
     seed: int | None = None,
     sets: Sequence[str] = (),
     sumo_options: Sequence[str] = (),
@@ -108,9 +106,10 @@ def attack(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Results:
-    """Attack vehicles of SUMO configurations, as ``deepmf-sumo attack --no-risk`` does.
+    """Attack vehicles of SUMO configurations, as ``deepmf-sumo attack`` does.
 
-    Each argument is an option of the command; pictures are drawn only where asked for.
+    Each argument is an option of the command or a key of its spec; there is no risk map, and
+    pictures are drawn only where asked for.
 
     Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
 
@@ -133,7 +132,6 @@ def attack(
             place.
         draw: ``promising``: a third of the moments are spread, the others are drawn where conflicts
             came near before; None means ``spread``: all are.
-        encounters: the same as ``prefer="encounters"``.
         moments_of: a result folder, or its moments.csv: attack the same vehicles at the same times.
         duration_s: of an attack; None means 8 s.
         opponents: ``one``, or one after another ``in_turn``; None means one up to 15 s.
@@ -143,8 +141,6 @@ def attack(
         planner: what drives the AV: a name, or a mapping with ``name`` and settings; None means
             ``idm``.
         profile: the kind of attack, see `deepmf_sumo.spec`; None means ``fair``.
-        all_conflicts: the profile ``any``, on the road: opponents also drive into the AV from
-            behind, against the traffic, or so that no driver could avoid it.
         seed: of all choices and of SUMO; None means the configuration's own.
         sets: ``KEY=VALUE``, each a key of the spec of all runs, e.g. ``planner=idm``.
         sumo_options: added to SUMO's command line.
@@ -160,8 +156,6 @@ def attack(
     Raises UsageError, SpecError or SimulationError for what is wrong, before anything is attacked;
     OutputError for a folder that cannot be used; RunError where no worker starts.
     """
-    if encounters and prefer not in (None, "encounters"):
-        raise UsageError(f"encounters contradicts prefer={prefer!r}; give one of them.")
     keys = {
         "duration_s": duration_s,
         "opponents": opponents,
@@ -174,7 +168,6 @@ def attack(
         {key: value for key, value in keys.items() if value is not None},
         sets if tries is None else (f"adversary.tries={tries}", *sets),
         sumo_options=sumo_options,
-        all_conflicts=all_conflicts,
         from_s=from_s,
         until_s=until_s,
         count=moments,
@@ -185,7 +178,7 @@ def attack(
         edges=tuple(edges),
         polygon=_absolute(polygon),
         of=_absolute(moments_of),
-        prefer="encounters" if encounters else prefer,
+        prefer=prefer,
         draw=draw,
     )
     specs = [moments_module.spec_of(one) for one in documents]

@@ -87,6 +87,16 @@ def described(model: type) -> dict[str, str]:
     return {name: re.sub(r"`[\w.]*\.([\w]+)`", r"`\1`", text) for name, text in found.items()}
 
 
+def own_fields(place: str) -> str:
+    """The keys that a pydantic model has beside those of the model before it."""
+    inherited = named(place).__mro__[1].model_fields
+    return "\n".join(
+        line
+        for line in fields(place).splitlines()
+        if line.partition("`")[2].partition("`")[0] not in inherited
+    )
+
+
 def fields(place: str) -> str:
     """The keys of a pydantic model, or those of a TypedDict or a dataclass."""
     model = named(place)
@@ -187,6 +197,6 @@ def exit_codes() -> str:
 
 GENERATED = {
     "columns": columns, "exit_codes": exit_codes, "fields": fields, "metrics": metric_tables,
-    "profiles": profiles,
+    "own_fields": own_fields, "profiles": profiles,
     "quantities": quantities, "settings": settings,
 }  # fmt: skip

@@ -63,7 +63,7 @@ def test_run_takes_a_plan(tiny, tmp_path):
     plan = tiny_plan.write(tiny, name="of_the_api.yaml")
     found = deepmf_sumo.run(plan, tmp_path / "a", resume=True)
     assert len(found.runs) == 8
-    command = ["run", str(plan), "--no-figures", "--out", str(tmp_path / "b")]
+    command = ["run", str(plan), "--set", "sweep.figures=false", "--out", str(tmp_path / "b")]
     assert main.run(command) == 0
     assert differences(tmp_path / "a", tmp_path / "b") == []
     with pytest.raises(UsageError, match="A plan is run by itself"):
@@ -93,7 +93,7 @@ def test_attack_writes_what_the_command_writes(tiny, tmp_path):
     sets = ["adversary=rule"]
     found = deepmf_sumo.attack(config, tmp_path / "a", moments=2, seed=3, sets=sets)
     assert [run.status for run in found.runs] == ["ok", "ok"]
-    arguments = ["attack", str(config), "-n", "2", "--no-risk", "--no-pictures"]
+    arguments = ["attack", str(config), "-n", "2", "--set", "sweep.risk=false", "--no-pictures"]
     arguments += ["--set", sets[0], "--seed", "3", "--out", str(tmp_path / "b")]
     assert main.run(arguments) == 0
     assert differences(tmp_path / "a", tmp_path / "b") == []

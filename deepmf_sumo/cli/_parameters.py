@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 from typing import Any, Final
 
 import click
@@ -12,6 +13,11 @@ format_option: Final = click.option(
     "--format", "form", type=click.Choice(["table", "json", "csv", "md"]), default="table",
     show_default=True, help="Print the result in this format.",
 )  # fmt: skip
+RESULTS: Final = click.Path(exists=True, file_okay=False, path_type=Path)
+"""A result folder, or a folder that contains result folders, e.g. one for each seed."""
+results_argument: Final = click.argument(
+    "folders", metavar="OUT...", nargs=-1, required=True, type=RESULTS
+)
 AFTER: Final = "after --"
 """Where a context keeps SUMO's options."""
 MOST: Final = 100_000
@@ -56,6 +62,22 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+class Place(click.ParamType):  # type: ignore[type-arg]
+    """A port, of this machine or of another: ``PORT`` or ``HOST:PORT``."""
+
+    name = "place"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, int]:
+        """Host and port; a mistake is refused (exit code 2)."""
+        host, colon, number = str(value).rpartition(":")
+        if colon and not host:
+            self.fail(f"{value!r} names no host: write PORT or HOST:PORT.", param, ctx)
+        port: int = click.IntRange(1, 65535)(number, param, ctx)
+        return host.strip("[]") or "localhost", port
 
 
 class Seeds(click.ParamType):  # type: ignore[type-arg]

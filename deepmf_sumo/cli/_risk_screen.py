@@ -27,9 +27,11 @@ _KIND_HEADINGS: Final = (
     "mean delta-v",
 )  # fmt: skip
 _MOST: Final = 30
+_TOP: Final = 10
+"""Places on the screen; all of them are in the tables."""
 
 
-def show_risk(written: Sequence[Written], top: int) -> None:
+def show_risk(written: Sequence[Written]) -> None:
     """One table for each network: movements and edges, by the lower end of the risk of a hit."""
     from deepmf_sumo.results.risk.kinds import by_type
     from deepmf_sumo.results.risk.table import worst
@@ -39,7 +41,7 @@ def show_risk(written: Sequence[Written], top: int) -> None:
         network = one.network
         head = f"{_counted_on(network)}{_overall(network)}"
         console.print(escape(head), soft_wrap=True)
-        console.print(filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:top]]))
+        console.print(filled(_HEADINGS, [_cells(row) for row in worst(one.rows)[:_TOP]]))
         console.print(
             filled(_KIND_HEADINGS, [_kind_cells(row) for row in by_type(network.attacks)])
         )

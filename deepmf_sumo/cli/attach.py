@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from deepmf_sumo.cli._parameters import FiniteRange
+from deepmf_sumo.cli._parameters import FiniteRange, Place
 from deepmf_sumo.errors import exit_code
 
 if TYPE_CHECKING:
@@ -20,20 +19,12 @@ Tell = Callable[[dict[str, Any]], None]
 
 @click.command(name="attach", short_help="Attack a vehicle in a SUMO that already runs.")
 @click.option(
-    "--port", "-p", "number", required=True, type=click.IntRange(1, 65535),
+    "--port", "-p", "place", metavar="[HOST:]PORT", required=True, type=Place(),
     help="Connect to this port, SUMO's --remote-port.",
 )  # fmt: skip
-@click.option("--host", default="localhost", show_default=True, help="Connect to this machine.")
 @click.option(
     "--av", "avs", metavar="ID", required=True, multiple=True,
     help="Attack this vehicle; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--order", type=int, default=2, show_default=True, help="Register at SUMO under this number."
-)
-@click.option(
-    "--wait", "wait_s", metavar="S", type=FiniteRange(min=0), default=10.0, show_default=True,
-    help="Wait this time for SUMO to listen on the port.",
 )  # fmt: skip
 @click.option(
     "--trigger", "triggers", metavar="WHEN", multiple=True,
@@ -44,67 +35,58 @@ Tell = Callable[[dict[str, Any]], None]
     show_default=True, help="End an attack after this time.",
 )  # fmt: skip
 @click.option(
-    "--pause", "pause_s", metavar="S", type=FiniteRange(min=0), default=5.0, show_default=True,
-    help="Wait this time after an attack.",
-)  # fmt: skip
-@click.option("--attacks", metavar="N", type=click.IntRange(min=1), help="Stop after N attacks.")
-@click.option(
     "--until", "until_s", metavar="S", type=FiniteRange(min=0),
     help="Leave at this time of the simulation.",
 )  # fmt: skip
 @click.option(
-    "--patience", "patience_s", metavar="S", type=FiniteRange(min=0), default=600.0,
-    show_default=True, help="Wait this time of the simulation for the AV to appear.",
-)  # fmt: skip
-@click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
-    help="Set profile, adversary.KEY, weights or seed; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--net", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Read the network from this file.  [default: the one that SUMO names]",
+    help="Set profile, adversary.KEY, weights, seed or live.KEY, e.g. live.pause_s=0; may be"
+    " repeated.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("live"), show_default=True,
     help="Write the results into this folder.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Delete the results that the folder has.")
-@click.option(
-    "--http", type=click.IntRange(0, 65535), metavar="PORT",
-    help="Show what happens on this port of this machine, with a switch for new attacks.",
-)  # fmt: skip
 @click.pass_context
 def command(
-    ctx: click.Context, /, out: Path, overwrite: bool, http: int | None, **given: Any
+    ctx: click.Context,
+    /,
+    place: tuple[str, int],
+    out: Path,
+    overwrite: bool,
+    sets: tuple[str, ...],
+    until_s: float | None,
+    **given: Any,
 ) -> None:
     """Join a running sumo or sumo-gui, and attack a vehicle that another client drives.
 
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
-    together. Ends when the vehicle leaves, at --until, after --attacks, or at Ctrl-C, and hands its
-    opponent back to SUMO; a second Ctrl-C stops immediately, which ends SUMO. Several vehicles are
-    attacked at the same time, each for itself.
+    together. Ends when the vehicle leaves, at --until, after live.attacks, or at Ctrl-C, and hands
+    its opponent back to SUMO; a second Ctrl-C stops immediately, which ends SUMO. Several vehicles
+    are attacked at the same time, each for itself.
     """
     from deepmf_sumo import live
+    from deepmf_sumo.cli._keys import LIVE, AttachKeys, taken
     from deepmf_sumo.cli._leaving import leaving
     from deepmf_sumo.cli._screen import show_session, tell_jump, tell_switch
     from deepmf_sumo.live.connection import Port
     from deepmf_sumo.live.lockstep import Stay
 
-    port, wish, stay = (
-        {field.name: given[field.name] for field in fields(kind)}
-        for kind in (Port, live.Wish, Stay)
-    )
+    keys, rest = taken(sets, AttachKeys, LIVE)
+    host, number = place
+    port = Port(number=number, host=host, order=keys.order, wait_s=keys.wait_s)
+    stay = Stay(until_s=until_s, attacks=keys.attacks, patience_s=keys.patience_s)
+    wish = live.Wish(sets=tuple(rest), pause_s=keys.pause_s, net=keys.net, **given)
     with (
         leaving() as stopped,
-        watched(http, given["avs"]) as (watch, tell),
-        closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
+        watched(keys.http, wish.avs) as (watch, tell),
+        closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
     ):
         prepared.record.switched = tell_switch
         prepared.record.jumped = tell_jump
-        done = live.attach(
-            Port(**port), prepared, Stay(**stay), stopped=stopped, tell=tell, watch=watch
-        )
-    show_session(done, given["avs"], out)
+        done = live.attach(port, prepared, stay, stopped=stopped, tell=tell, watch=watch)
+    show_session(done, wish.avs, out)
     ctx.exit(exit_code("interrupted") if done.end == "stopped" else 0)
 
 

@@ -1,12 +1,13 @@
 """``deepmf-sumo attack``: SUMO configurations -> result folder, without a spec."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions
-from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options
+from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options, set_option, sweep_keys
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.texts import shown
 
@@ -39,27 +40,12 @@ if TYPE_CHECKING:
     help="Attack only on this edge, or on the edges of the street of this name; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--polygon", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Attack only within the polygons of FILE, GeoJSON or SUMO's <poly>.",
-)  # fmt: skip
-@click.option(
     "--at", "at_s", metavar="S", multiple=True, type=FiniteRange(min=0),
     help="Attack at this time of the simulation, in s; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--moments-of", "of", metavar="OUT", type=click.Path(path_type=Path),
     help="Attack the same vehicles at the same times as in that result folder, to compare.",
-)  # fmt: skip
-@click.option(
-    "--prefer", type=click.Choice(["both", "spread", "encounters"]),
-    help="Spread moments over places and time (spread), choose first those before another vehicle"
-    " crosses the AV's path at a junction (encounters), or spread them and at each place begin with"
-    " such encounters.  [default: both]",
-)  # fmt: skip
-@click.option(
-    "--draw", "how", type=click.Choice(["spread", "promising"]),
-    help="Spread all moments over the network (spread), or a third of them, and draw the others"
-    " where conflicts came near before (promising).  [default: spread]",
 )  # fmt: skip
 @click.option(
     "--from", "from_s", metavar="S", type=FiniteRange(min=0),
@@ -71,40 +57,13 @@ if TYPE_CHECKING:
     help="Look for moments up to this time.  [default: the end, or a million vehicle"
     " steps, five million while their number grows]",
 )  # fmt: skip
-@click.option(
-    "--duration", "duration_s", metavar="S", type=float,
-    help="Attack for this time, in s.  [default: 8]",
-)  # fmt: skip
-@click.option(
-    "--opponents", type=click.Choice(["one", "in_turn"]),
-    help="Attack with one opponent, or with one after another.  [default: one up to 15 s]",
-)  # fmt: skip
-@click.option(
-    "--tries", type=click.IntRange(1, 1000),
-    help="Simulate an attack at most this often, until it finds an error of the AV, or a hit that"
-    " was avoidable (with --all-conflicts any hit); 1 is a quick look.  [default: 4; 1 with"
-    " --all-conflicts and for opponents in turn]",
-)  # fmt: skip
-@click.option(
-    "--all-conflicts", is_flag=True,
-    help="Let opponents drive into the AV from behind, against the traffic, or so that no driver"
-    " could avoid it, as well. Without it DeepMF does not: that can be done anywhere, and says"
-    " little about a road or a planner.",
-)  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
-@click.option(
-    "--set", "sets", metavar="KEY=VALUE", multiple=True,
-    help="Set a key of the spec; may be repeated.",
-)  # fmt: skip
+@set_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     help="Seed all choices and SUMO.  [default: the configuration's]",
 )
-@click.option(
-    "--risk/--no-risk", "mapped", default=True, show_default=True,
-    help="Write the risk map at the end, as `deepmf-sumo risk` does.",
-)  # fmt: skip
 @click.option(
     "--save-spec", "file", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
     help="Write the spec of this attack, for `deepmf-sumo run`, and attack nothing.",
@@ -116,8 +75,6 @@ def command(
     /,
     configs: tuple[Path, ...],
     sets: tuple[str, ...],
-    mapped: bool,
-    all_conflicts: bool,
     file: Path | None,
     **wanted: Any,
 ) -> None:
@@ -128,32 +85,28 @@ def command(
     result folder as `run` does, moments.csv and a risk map. Where no vehicle can be attacked it
     says why, and ends with 0. Several CONFIGs are attacked alike, all in one result folder.
 
-    It is short for `deepmf-sumo run` with a spec whose source is {network: CONFIG, moments: {...}}.
+    It is short for `deepmf-sumo run` with a spec whose source is {network: CONFIG, moments: {...}}:
+    --set sets all that has no option, e.g. duration_s=30, source.moments.prefer=encounters or
+    profile=any, and --save-spec writes that spec.
     """
     if file is not None:
-        _save(file, _documents(ctx.meta[AFTER], configs, sets, wanted, all_conflicts))
+        _, rest = sweep_keys(sets, "figures")
+        _save(file, _documents(ctx.meta[AFTER], configs, rest, wanted))
         return
-    given = {"sets": sets, "all_conflicts": all_conflicts, **wanted}
-    ctx.exit(attacked(ctx.meta[AFTER], configs, mapped=mapped, **given))
+    ctx.exit(attacked(ctx.meta[AFTER], configs, sets, **wanted))
 
 
 def attacked(
-    sumo_options: tuple[str, ...],
-    configs: tuple[Path, ...],
-    /,
-    *,
-    sets: tuple[str, ...],
-    mapped: bool,
-    all_conflicts: bool,
-    **wanted: Any,
+    sumo_options: tuple[str, ...], configs: tuple[Path, ...], sets: Sequence[str], **wanted: Any
 ) -> int:
     """Attack as the command does with these values of its options; returns the exit code."""
     from deepmf_sumo.cli._moments import announce_moments, no_conflict
     from deepmf_sumo.cli._screen import progress, tell_causes
     from deepmf_sumo.study import moments, plans
 
-    sweep = Sweep.begin(wanted, pictures=True)
-    documents = _documents(sumo_options, configs, sets, wanted, all_conflicts)
+    keys, rest = sweep_keys(sets, "figures")
+    sweep = Sweep.begin(wanted, keys, pictures=True)
+    documents = _documents(sumo_options, configs, rest, wanted)
     specs = [moments.spec_of(one) for one in documents]
     looked: list[tuple[Request, Found]] = []
 
@@ -167,7 +120,7 @@ def attacked(
     tell_causes(sweep.options.out)
     if told := no_conflict(results, looked):
         click.echo(shown(told))
-    if mapped and any(one["status"] == "ok" and one["opponent"] for one in results):
+    if keys.risk and any(one["status"] == "ok" and one["opponent"] for one in results):
         map_risk(sweep.options.out)
     return code
 
@@ -175,32 +128,23 @@ def attacked(
 def _documents(
     sumo_options: tuple[str, ...],
     configs: tuple[Path, ...],
-    sets: tuple[str, ...],
+    sets: Sequence[str],
     wanted: dict[str, Any],
-    all_conflicts: bool,
 ) -> "list[Document]":
     """The specs that the options are short for."""
     from deepmf_sumo.study import moments
 
-    if wanted["tries"] is not None:
-        sets = (f"adversary.tries={wanted['tries']}", *sets)
-    keys = {key: value for key in _KEYS if (value := wanted[key]) is not None}
-    if "planner" in keys:
-        keys["planner"] = {"name": keys["planner"]}
-    chosen = {key: wanted[key] for key in _MOMENTS} | {"draw": wanted["how"]}
-    for key in ("of", "polygon"):
-        chosen[key] = str(chosen[key].absolute()) if chosen[key] else None
-    return moments.documents(
-        configs, keys, sets, sumo_options=sumo_options, all_conflicts=all_conflicts, **chosen
-    )
+    keys: dict[str, Any] = {} if wanted["seed"] is None else {"seed": wanted["seed"]}
+    if wanted["planner"] is not None:
+        keys["planner"] = {"name": wanted["planner"]}
+    chosen = {key: wanted[key] for key in _MOMENTS}
+    if chosen["of"]:
+        chosen["of"] = str(chosen["of"].absolute())
+    return moments.documents(configs, keys, sets, sumo_options=sumo_options, **chosen)
 
 
-_KEYS = ("duration_s", "opponents", "planner", "seed")
-_MOMENTS = (
-    "count", "av", "av_type", "at_s", "of", "prefer", "from_s", "until_s", "junctions", "edges",
-    "polygon",
-)  # fmt: skip
-"""Options that are keys of the spec, and of its moments."""
+_MOMENTS = ("count", "av", "av_type", "at_s", "of", "from_s", "until_s", "junctions", "edges")
+"""Options that are keys of the spec's moments."""
 
 
 def _save(file: Path, documents: "list[Document]") -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from deepmf_sumo.cli._parameters import format_option
+from deepmf_sumo.cli._parameters import RESULTS, format_option
 
 if TYPE_CHECKING:
     from deepmf_sumo.results.gate import SameAttacks
@@ -15,7 +15,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command(name="check", short_help="Judge results by thresholds and a baseline.")
-@click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.argument("out", type=RESULTS)
 @click.option(
     "--thresholds", "-t", type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Judge by this YAML file.  [default with --baseline: no run may fail]",

@@ -4,14 +4,12 @@ from pathlib import Path
 
 import click
 
-from deepmf_sumo.cli._parameters import FiniteRange, format_option
-
-_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+from deepmf_sumo.cli._parameters import RESULTS, FiniteRange, format_option
 
 
 @click.command(name="compare", short_help="Compare two results, with intervals.")
-@click.argument("a", type=_FOLDER)
-@click.argument("b", type=_FOLDER)
+@click.argument("a", type=RESULTS)
+@click.argument("b", type=RESULTS)
 @format_option
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions, format_option
+from deepmf_sumo.cli._parameters import AFTER, RESULTS, FiniteRange, WithSumoOptions, format_option
 from deepmf_sumo.errors import OutputError
 
 if TYPE_CHECKING:
@@ -41,16 +41,11 @@ _TOP: Final = 10
     "--seed", type=click.IntRange(0, 2**32 - 1), help="Seed SUMO.  [default: the configuration's]"
 )
 @click.option(
-    "--ttc", "ttc_s", metavar="S", type=FiniteRange(0.1, 10), default=1.5, show_default=True,
-    help="Count times to collision up to this one, in s.",
+    "--set", "sets", metavar="KEY=VALUE", multiple=True,
+    help="Set ttc_s or pet_s, the limits of a conflict in s.  [default: ttc_s=1.5, pet_s=5]",
 )  # fmt: skip
 @click.option(
-    "--pet", "pet_s", metavar="S", type=FiniteRange(0.1, 20), default=5.0, show_default=True,
-    help="Count post-encroachment times up to this one, in s.",
-)  # fmt: skip
-@click.option(
-    "--beside", "results", metavar="OUT",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    "--beside", "results", metavar="OUT", type=RESULTS,
     help="Show the attacks of this result folder at the same places.",
 )  # fmt: skip
 @click.option("--trj", is_flag=True, help="Write the traffic as trajectories for FHWA's SSAM, too.")
@@ -66,6 +61,7 @@ def command(
     trj: bool,
     overwrite: bool,
     form: str,
+    sets: tuple[str, ...],
     **given: Any,
 ) -> None:
     """List the conflicts of the traffic of CONFIG, a .sumocfg, as it is: nothing is attacked.
@@ -78,6 +74,7 @@ def command(
     """
     from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
+    from deepmf_sumo.cli._keys import ConflictKeys, taken
     from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
     from deepmf_sumo.results.risk import places
     from deepmf_sumo.roadcheck import conflict_places as conflicts
@@ -86,6 +83,7 @@ def command(
     from deepmf_sumo.sumo.network.sumo_road import road_once
     from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
+    keys, _ = taken(sets, ConflictKeys)
     named = (recording.TRAJECTORIES, recording.ROAD_USERS) if trj else ()
     _refuse(out, (LIST, PLACES, ABOUT, *named), overwrite)
     options = ctx.meta[AFTER]
@@ -97,7 +95,7 @@ def command(
         config=config, sumo_options=options, seed=seed, from_s=given["from_s"],
         until_s=given["until_s"],
     )  # fmt: skip
-    limits = Limits(ttc_s=given["ttc_s"], pet_s=given["pet_s"])
+    limits = Limits(**dict(keys))
     if overwrite and not trj:
         for name in (recording.TRAJECTORIES, recording.ROAD_USERS):
             with files.writing(out):

@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from deepmf_sumo.cli._parameters import FiniteRange, Group, format_option
+from deepmf_sumo.cli._parameters import Group, format_option
 from deepmf_sumo.errors import ConversionError, ReaderError, SimulationError, UsageError
 
 if TYPE_CHECKING:
@@ -28,11 +28,7 @@ def command() -> None:
 @command.command(name="list", short_help="List the scenes of recorded files.")
 @_DATA
 @format_option
-@click.option(
-    "--csv", "csv_file", type=click.Path(dir_okay=False, path_type=Path), hidden=True,
-    help="Write the rows to this file.",
-)  # fmt: skip
-def list_scenes(data: tuple[Path, ...], form: str, csv_file: Path | None) -> None:
+def list_scenes(data: tuple[Path, ...], form: str) -> None:
     """List the scenes of recorded files and folders, and say which of them can be used.
 
     DATA: WOMD TFRecords (plain or gzip), ScenarioNet pickles, GPUDrive or Nocturne JSON, or .npz
@@ -45,16 +41,14 @@ def list_scenes(data: tuple[Path, ...], form: str, csv_file: Path | None) -> Non
 
     console, rows = wide(_WIDTH), []
     counts: Counter[str] = Counter()
-    with scene_table.written(csv_file) as write:
-        file = None
-        for row in map(scene_table.row, readers.scenes(data)):
-            if form != "table":
-                rows.append(row)
-            else:
-                _show(console, row, new_file=row["file"] != file)
-                file = row["file"]
-            write(row)
-            counts[row["status"]] += 1
+    file = None
+    for row in map(scene_table.row, readers.scenes(data)):
+        if form != "table":
+            rows.append(row)
+        else:
+            _show(console, row, new_file=row["file"] != file)
+            file = row["file"]
+        counts[row["status"]] += 1
     total = sum(counts.values())
     if form == "table":
         parts = ", ".join(f"{counts[status]} {status}" for status in _STYLES)
@@ -171,24 +165,21 @@ _COUNT = click.IntRange(min=1)
     help="Seed the networks, the traffic and the choice of scenes.",
 )  # fmt: skip
 @click.option(
-    "--start", "start_s", metavar="S", default=60.0, show_default=True, type=FiniteRange(min=0),
-    help="Wait for this time of the simulation first.",
+    "--set", "sets", metavar="KEY=VALUE", multiple=True,
+    help="Set start_s, every_s, avs or diverse, e.g. avs=2 scenes at a time; may be repeated.",
 )  # fmt: skip
-@click.option(
-    "--every", "every_s", metavar="S", default=9.0, show_default=True, type=FiniteRange(min=0.1),
-    help="Record once in this time.",
-)  # fmt: skip
-@click.option(
-    "--avs", default=1, show_default=True, type=_COUNT,
-    help="Record at most this number of scenes at a time, each around another AV.",
-)  # fmt: skip
-@click.option("--diverse/--as-it-is", default=True, help="Mix drivers, or keep the demand's types.")
 @click.option(
     "--jobs", "-j", default=1, show_default=True, type=_COUNT,
     help="Use this number of worker processes.",
 )  # fmt: skip
 def record(
-    configs: tuple[Path, ...], out: Path, kind: str | None, networks: int, jobs: int, **wanted: Any
+    configs: tuple[Path, ...],
+    out: Path,
+    kind: str | None,
+    networks: int,
+    sets: tuple[str, ...],
+    jobs: int,
+    **wanted: Any,
 ) -> None:
     """Record SUMO traffic as scenes of 9.1 s: one .npz file each, a folder for each network.
 
@@ -199,10 +190,13 @@ def record(
     """
     if not configs and not kind:
         raise UsageError("There is nothing to record: give a .sumocfg, or --generate KIND.")
+    from deepmf_sumo.cli._keys import RecordKeys, taken
     from deepmf_sumo.training.recording.many import Recorded, Wanted, record_all
 
+    keys, _ = taken(sets, RecordKeys)
     asked = Wanted(
-        configs=configs, kind=kind or "mix", networks=networks if kind else 0, **wanted
+        configs=configs, kind=kind or "mix", networks=networks if kind else 0, **dict(keys),
+        **wanted,
     )  # fmt: skip
     done: list[Recorded] = []
     for network in record_all(asked, out, jobs):

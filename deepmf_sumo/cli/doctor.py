@@ -233,14 +233,16 @@ def netconvert() -> Finding:
 
 
 def sumo_gui() -> Finding:
-    """Whether `--gui` can work: a program and a display."""
-    found = _program("sumo-gui", "warning", "--gui does not work")
+    """Whether `sweep.gui` can work: a program and a display."""
+    found = _program("sumo-gui", "warning", "sweep.gui does not work")
     if found.state != "ok" or sys.platform in {"win32", "darwin"}:
         return found
     display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     if display:
         return Finding("ok", f"{found.text}, display {display}")
-    return Finding("warning", "no display (DISPLAY is not set): --gui does not work, all else does")
+    return Finding(
+        "warning", "no display (DISPLAY is not set): sweep.gui does not work, all else does"
+    )
 
 
 def sumo_home() -> Finding:

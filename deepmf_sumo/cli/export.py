@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from deepmf_sumo.cli._exports import show_exports
+from deepmf_sumo.cli._parameters import results_argument
 from deepmf_sumo.errors import UsageError, exit_code
 
 if TYPE_CHECKING:
@@ -23,10 +24,7 @@ _MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
 
 
 @click.command("export", short_help="Write runs in the format of another program.")
-@click.argument(
-    "folders", metavar="OUT...", nargs=-1, required=True,
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-)  # fmt: skip
+@results_argument
 @click.option("--to", "name", metavar="FORMAT", required=True, help="Write this format.")
 @click.option(
     "--only", type=click.Choice(["hits", "findings"]),
@@ -38,11 +36,7 @@ _MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
 )  # fmt: skip
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True,
-    help="Set a setting of the format; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--without-av", is_flag=True,
-    help="Leave the AV to another program: short for --set without_av=true (openscenario).",
+    help="Set a setting of the format, e.g. without_av=true (openscenario); may be repeated.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace what was written before.")
 @click.pass_context
@@ -53,7 +47,6 @@ def command(
     only: "Only | None",
     out: Path | None,
     sets: tuple[str, ...],
-    without_av: bool,
     overwrite: bool,
 ) -> None:
     """Write the runs of OUT... in a format that another program reads.
@@ -68,16 +61,11 @@ def command(
     from deepmf_sumo.results import exports
 
     if name in _MAPS:
-        if only or sets or without_av:
+        if only or sets:
             raise UsageError(f"--to {name} is one map of all runs; it takes --out alone.")
         _write_map(folders, out, _MAPS[name])
         return
-    values = _values(sets)
-    if without_av:
-        if name != "openscenario":
-            raise UsageError("--without-av is for --to openscenario.")
-        values["without_av"] = "true"
-    form = exports.Format.named(name, values)
+    form = exports.Format.named(name, _values(sets))
     runs = exports.chosen(folders)
     found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))
     show_exports(name, found)

@@ -18,15 +18,19 @@ import click
 
 import deepmf_sumo
 from deepmf_sumo import cli
+from deepmf_sumo.cli import _gone as gone
 from deepmf_sumo.cli._parameters import Group
 from deepmf_sumo.errors import EXIT_CODES, DeepmfError, OutputError
 from deepmf_sumo.texts import shown
 
-OLD_NAMES: Final = {
-    "benchmark": "run", "convert": "data convert", "record": "data record",
-    "reproduce": "run paper", "scenes": "data list", "table": "show",
-}  # fmt: skip
-"""Commands of the release before, which still work, and their names of now."""
+SECTIONS: Final = {
+    "Attack": ("attack", "run", "attach", "serve"),
+    "Results": ("show", "report", "risk", "compare", "check", "export", "shrink", "merge"),
+    "Network": ("screen", "conflicts", "try"),
+    "Predictors": ("data", "train", "evaluate"),
+    "Set-up": ("init", "doctor", "schema"),
+}
+"""As help shows the commands, those that most users need first."""
 _INSTALLED_APART: Final = ("torch", "onnx", "onnxscript", "onnxruntime")
 """Packages that the light installation or some extras leave out."""
 _FULL: Final = {errno.ENOSPC, errno.EDQUOT}
@@ -46,11 +50,7 @@ class Commands(Group):
         return sorted(name.removesuffix("_") for name in names)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A command of `list_commands` or of `OLD_NAMES`."""
-        if cmd_name in OLD_NAMES:
-            from deepmf_sumo.cli import _old_names
-
-            return _old_names.COMMANDS[cmd_name]
+        """A command of `list_commands`."""
         if cmd_name not in self.list_commands(ctx):
             return None
         name = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
@@ -60,14 +60,20 @@ class Commands(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As of `Group`; an old name gets a line about the new one."""
-        if args[0] in OLD_NAMES:
-            new = f"`deepmf-sumo {OLD_NAMES[args[0]]}`"
-            click.echo(
-                f"deepmf-sumo: `{args[0]}` is now {new}; the next release drops the old name.",
-                err=True,
-            )
+        """As of `Group`; a command that is gone is refused with what to write instead."""
+        if args[0] in gone.COMMANDS:
+            ctx.fail(gone.command(args[0]))
         return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """All commands, in the sections of `SECTIONS`."""
+        width = max(map(len, self.list_commands(ctx)))
+        for title, names in SECTIONS.items():
+            found = [(name, self.get_command(ctx, name)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(
+                    [(name.ljust(width), one.get_short_help_str()) for name, one in found if one]
+                )
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -101,6 +107,10 @@ def run(arguments: list[str]) -> int:
     given = [one for one in arguments[:end] if one != "--debug"] + arguments[end:]
     try:
         code = commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
+    except click.NoSuchOption as error:
+        told = gone.explained(error)
+        told.show()
+        return told.exit_code
     except click.ClickException as error:
         error.show()
         return error.exit_code

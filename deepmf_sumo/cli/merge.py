@@ -13,14 +13,9 @@ from deepmf_sumo.errors import exit_code
     "shards", metavar="SHARD...", nargs=-1, required=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
 )  # fmt: skip
-@click.option(
-    "--figures/--no-figures", default=True, show_default=True, help="Draw the figures of a plan."
-)
 @click.option("--overwrite", is_flag=True, help="Delete the results that OUT has.")
 @click.pass_context
-def command(
-    ctx: click.Context, out: Path, shards: tuple[Path, ...], figures: bool, overwrite: bool
-) -> None:
+def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], overwrite: bool) -> None:
     """Join the folders SHARD... of runs with --shard in OUT, as if run in one piece.
 
     They are those of one command, run or attack.
@@ -36,7 +31,7 @@ def command(
 
     if parts.of_benchmark(shards[0]):
         results, missing = plans.merge(out, shards, overwrite=overwrite)
-        made = benchmark.finish(out, figures=figures)
+        made = benchmark.finish(out, figures=True)
         screen.show_study(out, results, len(results) + len(missing), made)
     else:
         results, missing = parts.merge(out, shards, overwrite=overwrite)

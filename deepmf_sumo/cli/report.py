@@ -4,18 +4,22 @@ from pathlib import Path
 
 import click
 
+from deepmf_sumo.cli._parameters import results_argument
+
 
 @click.command(name="report", short_help="Write a page with all runs and replays.")
-@click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
-def command(out: Path, show: bool) -> None:
-    """Write OUT/report.html: all runs of a result folder, each with a replay.
+@results_argument
+@click.option("--open", "show", is_flag=True, help="Show the pages in the browser.")
+def command(folders: tuple[Path, ...], show: bool) -> None:
+    """Write report.html into each result folder OUT: all its runs, each with a replay.
 
-    OUT is what run, attack or merge wrote. The page is one file and needs no network.
+    OUT may contain result folders, e.g. one for each seed. A page is one file and needs no network.
     """
     from deepmf_sumo.report import page
+    from deepmf_sumo.results.reader import Results
 
-    written = page.write(out)
-    click.echo(f"{written} ({written.stat().st_size / 1e6:.1f} MB)")
-    if show:
-        click.launch(str(written))
+    for folder in Results.open(*folders).folders:
+        written = page.write(folder)
+        click.echo(f"{written} ({written.stat().st_size / 1e6:.1f} MB)")
+        if show:
+            click.launch(str(written))

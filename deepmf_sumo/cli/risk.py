@@ -5,19 +5,14 @@ from typing import Any
 
 import click
 
+from deepmf_sumo.cli._parameters import results_argument
+
 
 @click.command(name="risk", short_help="Map where a network is dangerous.")
-@click.argument(
-    "folders", metavar="OUT...", nargs=-1, required=True,
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-)  # fmt: skip
+@results_argument
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),
     help="Write the map into this folder.  [default: OUT/risk, of the first OUT]",
-)  # fmt: skip
-@click.option(
-    "--top", type=click.IntRange(0), default=10, show_default=True,
-    help="Show this number of places.",
 )  # fmt: skip
 @click.option(
     "--gis", "forms", type=click.Choice(["geojson", "gpkg"]), multiple=True,
@@ -25,7 +20,7 @@ import click
 )  # fmt: skip
 @click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
 def command(
-    folders: tuple[Path, ...], out: Path | None, top: int, forms: tuple[Any, ...], show: bool
+    folders: tuple[Path, ...], out: Path | None, forms: tuple[Any, ...], show: bool
 ) -> None:
     """Map the risk of the networks that OUT..., results of attack or run, attacked on.
 
@@ -41,7 +36,7 @@ def command(
     place = out or folders[0] / "risk"
     title = ", ".join(folder.resolve().name for folder in folders)
     written = files.write(place, risk.read(folders), title, forms)
-    _risk_screen.show_risk(written, top)
+    _risk_screen.show_risk(written)
     screen.tell_switched_off(folders, err=False)
     if show:
         click.launch(str(written[0].folder / files.PAGE))

@@ -1,48 +1,33 @@
 """``deepmf-sumo run``: specs or a plan -> result folder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from deepmf_sumo.cli._parameters import Seeds
-from deepmf_sumo.cli._sweep import Sweep, end, end_of_runs, options, write_page
+from deepmf_sumo.cli._sweep import (
+    Sweep,
+    end,
+    end_of_runs,
+    options,
+    set_option,
+    sweep_keys,
+    write_page,
+)
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
     from deepmf_sumo.spec import Spec
-
-_OPTIONS: Final = (
-    click.option(
-        "--set", "sets", metavar="KEY=VALUE", multiple=True,
-        help="Override a key of each spec or of the plan; may be repeated.",
-    ),
-    click.option(
-        "--without", metavar="METHOD", multiple=True,
-        help="Leave a method of the plan out; may be repeated.",
-    ),
-    click.option(
-        "--sumo", is_flag=True, help="Write a folder for sumo-gui for each run of a plan, too."
-    ),
-    click.option(
-        "--figures/--no-figures", default=True, show_default=True, help="Draw a plan's figures."
-    ),
-)  # fmt: skip
-
-
-def plan_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options of a plan, beside those of every sweep."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+    from deepmf_sumo.study.plans import Loaded
 
 
 @click.command(name="run", short_help="Run specs, or a plan of methods and planners.")
 @click.argument(
     "files", metavar="SPEC...|PLAN", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@plan_options
+@set_option
 @click.option("--seed", type=click.IntRange(min=0), help="Run with this seed.")
 @click.option(
     "--seeds", metavar="SEEDS", type=Seeds(),
@@ -55,6 +40,10 @@ def plan_options(command: Callable[..., Any]) -> Callable[..., Any]:
     default="",
     help="Do only the runs of specs whose id contains TEXT.",
 )
+@click.option(
+    "--without", metavar="METHOD", multiple=True,
+    help="Leave a method of the plan out; may be repeated.",
+)  # fmt: skip
 @click.option("--scenes", is_flag=True, help="Also write each run as a scene, scene.npz.")
 @click.option("--report", is_flag=True, help="Write report.html: all runs, each with a replay.")
 @options(out="results")
@@ -66,6 +55,7 @@ def command(
     seed: int | None,
     seeds: tuple[int, ...] | None,
     name_filter: str,
+    without: tuple[str, ...],
     scenes: bool,
     report: bool,
     sets: tuple[str, ...],
@@ -81,17 +71,20 @@ def command(
     from deepmf_sumo.cli._screen import progress
     from deepmf_sumo.study import plans
 
-    _check_seeds(seed, seeds, sets)
-    if any(map(plans.is_plan, files)):
+    planned = any(map(plans.is_plan, files))
+    keys, rest = sweep_keys(sets, "risk", *([] if planned else ["figures"]))
+    _check_seeds(seed, seeds, rest)
+    if planned:
         _check_alone(files, name_filter)
         chosen = list(seeds or (() if seed is None else (seed,)))
-        over = [*sets, *([f"seeds={chosen}"] if chosen else [])]
-        ctx.exit(run_plan(files[0], wanted, sets=over, scenes=scenes, page=report))
-    if wanted.pop("without"):
+        over = [*rest, *([f"seeds={chosen}"] if chosen else [])]
+        sweep = Sweep.begin(wanted, keys, pictures=False, scenes=scenes, sumo=False)
+        plan = plans.load(files[0], over, without)
+        ctx.exit(_run_plan(plan, sweep, page=report))
+    if without:
         raise UsageError("--without is for a plan: specs have one method each.")
-    wanted["sumo"] = True
-    sweep = Sweep.begin(wanted, pictures=True, name_filter=name_filter, scenes=scenes)
-    specs = _loaded(files, sets, seed, seeds)
+    sweep = Sweep.begin(wanted, keys, pictures=True, name_filter=name_filter, scenes=scenes)
+    specs = _loaded(files, rest, seed, seeds)
     with progress() as show:
         results = plans.run_specs(specs, sweep.options, show, announce_moments)
     if report:
@@ -129,22 +122,17 @@ def _loaded(
     return [one.model_copy(update={"seed": each}) for one in specs for each in seeds]
 
 
-def run_plan(
-    file: Path, wanted: dict[str, Any], *, sets: Sequence[str], page: bool = False, **more: Any
-) -> int:
+def _run_plan(plan: "Loaded", sweep: Sweep, *, page: bool) -> int:
     """Run a plan, write its tables and figures, show the table; returns the exit code."""
     from deepmf_sumo.cli._moments import announce_moments
     from deepmf_sumo.cli._screen import progress, show_study
     from deepmf_sumo.report import benchmark
     from deepmf_sumo.study import plans
 
-    without, figures = wanted.pop("without"), wanted.pop("figures")
-    sweep = Sweep.begin(wanted, pictures=False, **more)
-    loaded = plans.load(file, sets, without)
     with progress() as report:
-        results = plans.run(loaded, sweep.options, report, announce_moments)
+        results = plans.run(plan, sweep.options, report, announce_moments)
     out = sweep.options.out
-    made = benchmark.finish(out, figures=figures)
+    made = benchmark.finish(out, figures=sweep.keys.figures)
     if page:
         write_page(out)
     expected = plans.expected(out, sweep.options.shard)

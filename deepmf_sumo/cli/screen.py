@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from deepmf_sumo.cli._parameters import format_option
+from deepmf_sumo.cli._parameters import RESULTS, format_option
 from deepmf_sumo.errors import EXIT_CODES, OutputError
 from deepmf_sumo.texts import shown
 
@@ -29,8 +29,7 @@ _STYLES: Final = {"error": "red", "warning": ""}
     help="Write screen.csv into this folder.",
 )  # fmt: skip
 @click.option(
-    "--beside", "results", metavar="OUT",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    "--beside", "results", metavar="OUT", type=RESULTS,
     help="Show the attacks of this result folder at the same junctions.",
 )  # fmt: skip
 @click.option(

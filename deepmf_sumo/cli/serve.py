@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from deepmf_sumo.live.attacker import Attached, Prepared
     from deepmf_sumo.live.lockstep import Stay
 
-_OTHERS: Final = {"number", "host", "order", "wait_s", "net", "patience_s"}
-"""Options of `attach` on where SUMO is, and how long to wait for it."""
+_OTHERS: Final = {"place"}
+"""Options of `attach` on where SUMO is."""
 _SUMO_ENDS_S: Final = 5.0
 """For SUMO to end after it closed its connections."""
 
@@ -48,7 +48,8 @@ def command(
     gui: bool,
     out: Path,
     overwrite: bool,
-    http: int | None,
+    sets: tuple[str, ...],
+    until_s: float | None,
     **given: Any,
 ) -> None:
     """Start SUMO with CONFIG, a .sumocfg, behind a port that any TraCI client takes for SUMO's.
@@ -59,26 +60,25 @@ def command(
     may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
+    from deepmf_sumo.cli._keys import LIVE, LiveKeys, taken
     from deepmf_sumo.cli._leaving import leaving
     from deepmf_sumo.live.lockstep import Stay
     from deepmf_sumo.live.record import SUMO_FILES
 
+    keys, rest = taken(sets, LiveKeys, LIVE)
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
     _check_step(config, options)
-    wish, stay = (
-        {field.name: given[field.name] for field in fields(kind) if field.name in given}
-        for kind in (live.Wish, Stay)
-    )
+    wish = live.Wish(sets=tuple(rest), pause_s=keys.pause_s, **given)
     with (
-        closing(live.prepare(live.Wish(**wish), out, overwrite=overwrite)) as prepared,
+        closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
-        attach.watched(http, given["avs"]) as (watch, tell),
+        attach.watched(keys.http, wish.avs) as (watch, tell),
         prepared.record.written_by_sumo() as written,
         live.Server(config, port, written, options, gui=gui) as server,
     ):
-        whole = Stay(patience_s=float("inf"), **stay)
+        whole = Stay(until_s=until_s, attacks=keys.attacks, patience_s=float("inf"))
         sessions = partial(_simulations, server, prepared, whole, stopped, tell, watch)
-        _served(server, prepared, stopped, sessions, partial(_show, given["avs"], out))
+        _served(server, prepared, stopped, sessions, partial(_show, wish.avs, out))
         code = exit_code("interrupted" if stopped() else "failed" if server.unused else "fine")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from deepmf_sumo.cli._parameters import format_option
+from deepmf_sumo.cli._parameters import format_option, results_argument
 from deepmf_sumo.errors import UsageError
 
 if TYPE_CHECKING:
@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command("show", short_help="Show results side by side.")
-@click.argument(
-    "folders", metavar="OUT...", nargs=-1, required=True,
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-)  # fmt: skip
+@results_argument
 @click.option("--all", "everything", is_flag=True, help="Show all metrics, not only the main ones.")
 @click.option(
     "--failures", is_flag=True, help="Show what went wrong: failures in groups, the worst first."
@@ -29,17 +26,12 @@ if TYPE_CHECKING:
     help="Show what was attacked on networks, how it went, and what never was attacked.",
 )  # fmt: skip
 @format_option
-@click.option(
-    "--csv", "csv_file", type=click.Path(dir_okay=False, path_type=Path), hidden=True,
-    help="Write the rows to this file.",
-)  # fmt: skip
 def command(
     folders: tuple[Path, ...],
     everything: bool,
     failures: bool,
     coverage: bool,
     form: str,
-    csv_file: Path | None,
 ) -> None:
     """Show the result folders OUT... side by side, each spec of a folder separately.
 
@@ -51,14 +43,13 @@ def command(
     Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
     others have none.
     """
-    from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import comparison
 
     screen.tell_switched_off(folders, err=form != "table")
     if failures and coverage:
         raise UsageError("--failures goes without --coverage; give one of them.")
-    if (failures or coverage) and (everything or csv_file):
+    if (failures or coverage) and everything:
         name = "--failures" if failures else "--coverage"
         raise UsageError(f"{name} goes without --all; its data: --format csv or json.")
     if coverage:
@@ -69,14 +60,10 @@ def command(
         return
     groups = comparison.groups(folders)
     _warn([run for group in groups for run in group.runs])
-    if csv_file or form != "table":
-        table = comparison.compare(groups)
-    if csv_file:
-        with files.writing(csv_file):
-            files.write(csv_file, table.to_csv(index=False, float_format="%.4g"))
     if form == "table":
         screen.show_results(comparison.side_by_side(groups, everything=everything))
     else:
+        table = comparison.compare(groups)
         rows = table.astype(object).where(table.notna(), None).to_dict("records")
         screen.emit(form, [{str(key): value for key, value in row.items()} for row in rows])
 

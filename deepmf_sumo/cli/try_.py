@@ -1,6 +1,7 @@
 """``deepmf-sumo try``: changes to a network -> what they buy, by attacks with and without them."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -8,13 +9,18 @@ import click
 
 from deepmf_sumo.cli import attack
 from deepmf_sumo.cli._parameters import AFTER, WithSumoOptions
+from deepmf_sumo.cli._sweep import sweep_keys
 from deepmf_sumo.errors import EXIT_CODES, UsageError, worst
 
 if TYPE_CHECKING:
     from deepmf_sumo.roadcheck.countermeasures import Built
 
-_OTHERS: Final = {"configs", "of", "mapped", "file", "thresholds", "baseline", "shard", "formats"}
-"""Options of `attack` that say nothing about two networks."""
+_OTHERS: Final = {"configs", "of", "file", "shard", "formats"} | {
+    "av", "av_type", "at_s", "from_s", "until_s",
+}  # fmt: skip
+"""Options of `attack` that say nothing about two networks, or that few need here: see ``--set``."""
+_MOMENTS: Final = "source.moments."
+_PLACES: Final = tuple(f"{_MOMENTS}{key}" for key in ("junctions", "edges", "polygon"))
 SIDES: Final = ("before", "after")
 
 
@@ -34,8 +40,8 @@ SIDES: Final = ("before", "after")
 )  # fmt: skip
 @click.option(
     "--everywhere", is_flag=True,
-    help="Attack anywhere. Without it and without --junction, --edge and --polygon attacks are at"
-    " what is changed.",
+    help="Attack anywhere. Without it and without --junction and --edge attacks are at what is"
+    " changed.",
 )  # fmt: skip
 @click.pass_context
 def command(
@@ -45,6 +51,7 @@ def command(
     file: Path,
     everywhere: bool,
     count: int | None,
+    sets: tuple[str, ...],
     **wanted: Any,
 ) -> None:
     """Change the network of CONFIG, a .sumocfg, attack it with and without the changes, compare.
@@ -52,11 +59,12 @@ def command(
     Half of the --moments are chosen in the traffic before the changes and half in that after them,
     and all are attacked on both sides: the same vehicle at the same time. So neither side has
     moments that suit it. Writes OUT/before and OUT/after with results, the changed network, and
-    OUT/patch, which netconvert and netedit take. The other options are those of attack.
+    OUT/patch, which netconvert and netedit take. --set sets what attack sets.
     """
     from deepmf_sumo.roadcheck import countermeasures
 
     out: Path = wanted.pop("out")
+    sweep_keys(sets, "figures", "risk", "thresholds", "baseline")
     if count == 1:
         raise UsageError("--moments 1: it takes two, one for each side.")
     changes = countermeasures.load(file)
@@ -64,11 +72,17 @@ def command(
     built = countermeasures.build(config, changes, out)
     for line in built.done:
         click.echo(line)
-    if not (everywhere or wanted["junctions"] or wanted["edges"] or wanted["polygon"]):
+    placed = wanted["junctions"] or wanted["edges"] or any(one.startswith(_PLACES) for one in sets)
+    if not (everywhere or placed):
         wanted |= {"junctions": built.junctions, "edges": built.edges}
+    timed = any(
+        one.startswith(f"{_MOMENTS}at_s") for one in sets
+    )  # without --moments: once for each
+    number = count or (0 if timed else 10)
+    asked = _Asked(ctx.meta[AFTER], built, out, number, sets, wanted)
     code = 0
     for side, of in _order():
-        code = worst(code, _attack(ctx, built, side, of, out, count, wanted))
+        code = worst(code, asked.attack(side, of))
         if code == EXIT_CODES["interrupted"]:  # --resume goes on; nothing is compared by halves
             ctx.exit(code)
     _compare(out)
@@ -93,23 +107,33 @@ def _check(out: Path, wanted: dict[str, Any]) -> None:
         )
 
 
-def _attack(
-    ctx: click.Context, built: "Built", side: str, of: str, out: Path, count: int | None,
-    wanted: dict[str, Any],
-) -> int:  # fmt: skip
-    """Attack a side at moments chosen in a side; returns the exit code."""
-    number = count or (0 if wanted["at_s"] else 10)  # --at without --moments: once for each
-    half = (number + 1) // 2 if of == SIDES[0] else number // 2
-    given = {**wanted, "out": out / side / f"at-{of}"}
-    given |= dict.fromkeys(("thresholds", "baseline", "shard"))
-    given |= {"formats": (), "count": half or None, "of": None}
-    if side != of:
-        given |= {"count": None, "of": out / of / f"at-{of}"}
-        given |= {"junctions": (), "edges": (), "polygon": None, "prefer": None, "how": None}
-        given |= dict.fromkeys(("from_s", "until_s", "av", "av_type")) | {"at_s": ()}
-    config = built.before if side == "before" else built.after
-    click.echo(f"{side} the changes, at moments chosen {of} them")
-    return attack.attacked(ctx.meta[AFTER], (config,), mapped=False, **given)
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The attacks on both sides; ``values`` are those of the options of `attack`."""
+
+    sumo_options: tuple[str, ...]
+    built: "Built"
+    out: Path
+    count: int
+    sets: tuple[str, ...]
+    values: dict[str, Any]
+
+    def attack(self, side: str, of: str) -> int:
+        """Attack a side at moments chosen in a side; returns the exit code."""
+        half = (self.count + 1) // 2 if of == SIDES[0] else self.count // 2
+        given: dict[str, Any] = dict.fromkeys(_OTHERS - {"configs", "file"}) | {"at_s": ()}
+        given |= self.values | {
+            "out": self.out / side / f"at-{of}",
+            "formats": (),
+            "count": half or None,
+        }
+        sets = [*self.sets, "sweep.risk=false"]
+        if side != of:
+            given |= {"count": None, "of": self.out / of / f"at-{of}", "junctions": (), "edges": ()}
+            sets = [one for one in sets if not one.startswith(_MOMENTS)]
+        config = self.built.before if side == "before" else self.built.after
+        click.echo(f"{side} the changes, at moments chosen {of} them")
+        return attack.attacked(self.sumo_options, (config,), sets, **given)
 
 
 def _compare(out: Path) -> None:

@@ -495,8 +495,8 @@ def _joined(
 
 
 _NUMBERS = (
-    "every client needs a number of its own, --order here and setOrder in a script, and SUMO one "
-    "--num-clients for all of them."
+    "every client needs a number of its own, live.order here and setOrder in a script, and SUMO"
+    " one --num-clients for all of them."
 )
 
 

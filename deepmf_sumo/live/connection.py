@@ -146,11 +146,11 @@ def _refused(port: Port, error: Exception) -> str:
         return (
             f"SUMO at {where} closed the connection before its first step. Either it ended by an "
             f"error, which it has printed, or it refused client {port.order}: every client needs a "
-            "number of its own, --order, and SUMO one --num-clients for all of them."
+            "number of its own, live.order, and SUMO one --num-clients for all of them."
         )
     return (
         f"SUMO at {where} refused client {port.order} ({str(error).strip()}); every client needs "
-        "a number of its own, --order, and SUMO one --num-clients for all of them."
+        "a number of its own, live.order, and SUMO one --num-clients for all of them."
     )
 
 
@@ -173,8 +173,8 @@ def road_files(api: SumoApi, folder: Path) -> tuple[Path, tuple[Path, ...]]:
     net = folder / named
     if not named or not net.is_file():
         raise UsageError(
-            f"SUMO's network '{named}' is not in {folder.absolute()}; name it with --net, or run "
-            "in the folder in which SUMO was started."
+            f"SUMO's network '{named}' is not in {folder.absolute()}; name it with"
+            " --set live.net=FILE, or run in the folder in which SUMO was started."
         )
     more = str(api.simulation.getOption("additional-files")).replace(",", " ").split()
     return net, tuple(path for path in (folder / one for one in more) if path.is_file())

@@ -131,7 +131,7 @@ class Lockstep:
         if time_s == self._begin_s:
             return (
                 f"SUMO ended before its first step ({reason}): every client needs a number of its "
-                "own, --order here and setOrder in a script, and SUMO one --num-clients for all."
+                "own, live.order here and setOrder in a script, and SUMO one --num-clients for all."
             )
         return (
             f"The connection was lost at {time_s:.1f} s of the simulation ({reason}): SUMO has "

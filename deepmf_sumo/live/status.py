@@ -91,7 +91,7 @@ class StatusServer:
         try:
             self._server = LocalServer(port, Handler, _MOST)
         except OSError as error:
-            raise UsageError(f"--http {port} cannot be used: {error.strerror}.") from None
+            raise UsageError(f"live.http {port} cannot be used: {error.strerror}.") from None
         self.port = int(self._server.server_address[1])
         threading.Thread(target=self._server.serve_forever, name="status", daemon=True).start()
 

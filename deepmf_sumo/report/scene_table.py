@@ -1,17 +1,10 @@
 """Recorded scenes -> a table with one row each."""
 
-import csv
-import io
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo import files
 from deepmf_sumo.scene import Scene
 from deepmf_sumo.scene.readers import Refusal
-from deepmf_sumo.texts import cell
 
 COLUMNS: Final = (
     *("file", "record", "scene", "dataset", "status", "reason", "steps"),
@@ -50,19 +43,3 @@ def row(found: Scene | Refusal) -> Row:
         "av": found.av_id,
         "interest": " ".join(found.interest),
     }
-
-
-@contextmanager
-def written(path: Path | None) -> Iterator[Callable[[Row], Any]]:
-    """A function that writes a row to a CSV file, which appears when all rows are there."""
-    if path is None:
-        yield lambda _: None
-        return
-    with files.writing(path), files.whole(path) as file:
-        text = io.TextIOWrapper(file, "utf-8", newline="")
-        writer = csv.DictWriter(text, COLUMNS)
-        writer.writeheader()
-        yield lambda row: writer.writerow(
-            {key: cell(one) if isinstance(one, str) else one for key, one in row.items()}
-        )
-        text.detach()  # flushed; the file is closed when it is whole

@@ -403,7 +403,7 @@ def result_folders(folder: Path) -> list[Path]:
     if not inside:
         raise UsageError(
             f"{folder} is not a result folder, and contains none: there is no manifest.json; give"
-            " the --out of run, attack or benchmark."
+            " the --out of run or attack."
         )
     return inside
 

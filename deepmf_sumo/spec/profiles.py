@@ -53,8 +53,6 @@ rams it from behind nor drives beside the road or against the traffic, which is 
 ``any``: whatever the opponent can drive; ``lawful``: it keeps the rules of traffic; ``paper``: the
 method as published."""
 DEFAULT: Final[ProfileName] = "fair"
-ALL_CONFLICTS: Final = ("on_road",)
-"""Constraints of ``attack --all-conflicts``, of the profile ``any``."""
 
 DEFAULT_RULES: Final = {1: "expected", 2: "likeliest", 3: PROFILES["any"].rule or ""}
 """The rule of DeepMF in its form ``extended`` where none is said, by version of the spec."""

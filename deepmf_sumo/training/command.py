@@ -1,13 +1,12 @@
-"""Command line and configuration -> trainings; flags take precedence over the file."""
+"""Command line and configuration -> trainings."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 import torch
 
-from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import preset_named
 from deepmf_sumo.deepmf.networks.weights import BASELINES, NETWORKS, Network
 from deepmf_sumo.errors import UsageError
@@ -20,30 +19,22 @@ from deepmf_sumo.training.samples.feature_cache import Data
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """Options of the command line; None is the value in ``file``, else the default.
+    """What the command line asks for.
 
     Attributes:
         network: its name, or ``all`` for the three of the paper.
-        file: the configuration. data: ``PATH`` or ``PATH=WEIGHT`` each.
+        file: the configuration. sets: ``key=value`` over it.
+        data: ``PATH`` or ``PATH=WEIGHT`` each, instead of the configuration's.
         name: of the set of weights. out: its folder, instead of one in the weights home.
-        optimisation: values of `config.Optimisation`, for all networks.
-        threads: CPU threads; None is torch's default.
         command: for the card.
     """
 
     network: str
     file: Path | None = None
+    sets: Sequence[str] = ()
     data: Sequence[str] = ()
     name: str = "custom"
     out: Path | None = None
-    preset: str | None = None
-    begin_from: str | None = None
-    seed: int | None = None
-    licence: str | None = None
-    members: int | None = None
-    optimisation: Mapping[str, Any] = field(default_factory=dict)
-    device: Literal["cpu", "cuda", "auto"] = "cpu"
-    threads: int | None = None
     cache: Path | None = None
     jobs: int = 1
     again: bool = False
@@ -53,14 +44,16 @@ class Request:
 def train_requested(request: Request, report: Progress) -> None:
     """Train the networks of a request.
 
-    Raises UsageError without data, and WeightsError if the initial weights of a network do not fit,
-    both before any network is trained.
+    Raises UsageError without data, SpecError for a wrong configuration, and WeightsError if the
+    initial weights of a network do not fit or the device is not there, all before any network is
+    trained.
     """
-    settings = config.load(request.file) if request.file is not None else Config(version=1)
+    settings = config.load(request.file, request.sets)
     data = _sources(request, settings)
-    if request.members is not None and request.network not in {"marginal", "all"}:
+    named = {one.partition("=")[0].strip() for one in request.sets}
+    if "members" in named and request.network not in {"marginal", "all"}:
         raise UsageError(
-            f"--members applies to the marginal network; the {request.network} network has one."
+            f"members applies to the marginal network; the {request.network} network has one."
         )
     networks = _networks(request.network)
     trainings = {network: _training(network, request, settings, data) for network in networks}
@@ -68,7 +61,7 @@ def train_requested(request: Request, report: Progress) -> None:
         if one.begin_from is not None:
             initial_weights.check(network, one.preset, one.folder, one.begin_from, report)
     for network, one in trainings.items():
-        train_each([network], one, request.threads, report)
+        train_each([network], one, None, report)
 
 
 def train_each(
@@ -93,22 +86,20 @@ def _networks(name: str) -> list[Network]:
 def _training(
     network: Network, request: Request, settings: Config, data: Sequence[Data]
 ) -> Training:
-    """How to train one network; flags take precedence over the file, and it over defaults."""
-    flags = config.Optimisation(**request.optimisation)
     return Training(
         data=data,
         folder=request.out or weights.place(request.name),
         cache=request.cache or weights.home() / ".features",
-        preset=preset_named(request.preset or settings.preset or config.PRESETS[network]),
-        optimisation={network: flags.over(settings.of(network))},
-        begin_from=request.begin_from or settings.begin_from,
-        seed=settings.seed or 0 if request.seed is None else request.seed,
-        device=request.device,
+        preset=preset_named(settings.preset or config.PRESETS[network]),
+        optimisation={network: settings.of(network)},
+        begin_from=settings.begin_from,
+        seed=settings.seed or 0,
+        device=torch_networks.device(),
         jobs=request.jobs,
         again=request.again,
-        licence=settings.licence or "" if request.licence is None else request.licence,
+        licence=settings.licence or "",
         command=request.command,
-        members=request.members or settings.members or config.MEMBERS,
+        members=settings.members or config.MEMBERS,
     )
 
 

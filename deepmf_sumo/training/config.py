@@ -1,5 +1,6 @@
-"""``train --config FILE``: a training in strict YAML, and the defaults of each network."""
+"""The configuration of ``train``: a training in strict YAML, and the defaults of each network."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -7,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.spec.document import read
+from deepmf_sumo.spec.document import Document, read
 from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import ExistingPath, Strict
 from deepmf_sumo.training.samples.feature_cache import Data
@@ -139,13 +140,16 @@ class Config(Optimisation):
         return [Data(path=entry.path, weight=entry.weight) for entry in self.data or ()]
 
 
-def load(file: Path) -> Config:
-    """The configuration in a file; its paths are relative to it.
+def load(file: Path | None, sets: Sequence[str] = ()) -> Config:
+    """The configuration in a file, to which its paths are relative, with ``key=value`` over it.
 
-    Raises SpecError for anything wrong, with file, line and key.
+    Without a file that of ``sets`` alone, its paths relative to the working folder. Raises
+    SpecError for anything wrong, with file, line and key.
     """
-    document = read(file)
-    context = {"folder": str(file.parent)}
+    document = read(file) if file else Document(Path("--set"), {"version": 1})
+    for assignment in sets:
+        document.assign(assignment)
+    context = {"folder": str(file.parent if file else ".")}
     config: Config = checked(Config, document.values, (), document, context)
     check_weights(config.sources(), f"{document.place(('data',))}: key 'data'")
     return config

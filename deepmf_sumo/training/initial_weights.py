@@ -39,7 +39,7 @@ def file_of(
         source = weights.find(begin_from)
         if source.resolve() == folder.resolve():
             raise WeightsError(
-                f"--from {begin_from} is the set to be trained; give the new set another --name."
+                f"begin_from {begin_from} is the set to be trained; give this one another --name."
             )
         stem = weights.member(network, member)
         if member > 1 and stem not in weights.listed(source):
@@ -98,7 +98,7 @@ def load(net: nn.Module, network: Network, file: Path) -> None:
     if unlike:
         raise WeightsError(
             f"{file} does not fit the {network} network: it differs in {', '.join(unlike[:3])}"
-            f"{' and others' if len(unlike) > 3 else ''}; choose another --from."
+            f"{' and others' if len(unlike) > 3 else ''}; choose another begin_from."
         )
     for name in lacking:
         own[name].zero_()

@@ -34,7 +34,6 @@ def _parser() -> argparse.ArgumentParser:
         "--jobs", type=int, default=1, help="processes that compute features, and that attack"
     )
     parser.add_argument("--threads", type=int, help="of training; default: torch's own")
-    parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="cpu")
     parser.add_argument("--cache", type=Path, help="default: of features, as `deepmf-sumo train`")
     return parser
 

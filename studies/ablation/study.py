@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from deepmf_sumo import files
-from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.weights import NETWORKS, Network
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.tasks import slug
@@ -48,7 +48,6 @@ class Options:
     cache: Path | None = None
     jobs: int = 1
     threads: int | None = None
-    device: Literal["cpu", "cuda", "auto"] = "cpu"
     command: str = ""
 
 
@@ -90,7 +89,7 @@ class _Work:
             preset=plan.preset_of(variant),
             optimisation={network: plan.of(network) for network in NETWORKS},
             seed=plan.seed or 0,
-            device=options.device,
+            device=torch_networks.device(),
             jobs=options.jobs,
             licence=plan.licence or "",
             command=options.command,

@@ -58,7 +58,7 @@ def attack(config: Path, out: Path, place: dict[str, Any], more: Sequence[str]) 
     ]
     command = [
         *(sys.executable, "-m", "deepmf_sumo.cli.main", "attack", config, "--out", out),
-        *("--seed", place["seed"], "--duration", DURATION_S, "--opponents", "one"),
+        *("--seed", place["seed"], "--set", f"duration_s={DURATION_S}", "--set", "opponents=one"),
         *("--until", f"{place['until_s']:g}", "--no-pictures", "--resume", *wishes, *more),
     ]
     return subprocess.run(list(map(str, command)), check=False).returncode
@@ -246,7 +246,7 @@ def _attacked(folder: Path, place: dict[str, Any], given: argparse.Namespace) ->
     """Attack the flawed network, and the sound one at the same moments; the exit code."""
     config, out = place["configuration"], folder / "flawed-attacks"
     start = [] if given.start_s is None else ["--from", f"{given.start_s:g}"]
-    wish = ["--moments", given.moments, "--prefer", given.prefer, *start]
+    wish = ["--moments", given.moments, "--set", f"source.moments.prefer={given.prefer}", *start]
     return attack(folder / "flawed" / config, out, place, wish) or attack(
         folder / "sound" / config, folder / "sound-attacks", place, ["--moments-of", out]
     )
@@ -263,7 +263,7 @@ def main() -> int:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--no-attacks", action="store_true", help="screen the networks alone")
     parser.add_argument("--moments", type=int, default=100)
-    parser.add_argument("--prefer", default="both", help="as of `deepmf-sumo attack`")
+    parser.add_argument("--prefer", default="both", help="`source.moments.prefer` of specs")
     parser.add_argument("--least", type=int, default=LEAST, help="as of plant.py")
     parser.add_argument("--from", type=float, dest="start_s", metavar="S")
     parser.add_argument("--until", type=float, dest="until_s", metavar="S")

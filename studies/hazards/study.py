@@ -28,7 +28,9 @@ WISHES: Final = {
     "reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
-WHEN: Final = ("--from", "0", "--until", "164", "--duration", "16", "--opponents", "one")
+WHEN: Final = (
+    "--from", "0", "--until", "164", "--set", "duration_s=16", "--set", "opponents=one",
+)  # fmt: skip
 """Attacks end with the traffic."""
 
 
@@ -45,8 +47,9 @@ def commands(
     for seed, wish, kind in itertools.product(seeds, prefer, KINDS):
         yield [
             *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
-            "--moments", str(moments), "--seed", str(seed), "--prefer", wish, "--no-pictures",
-            "--resume", *wishes, "--out", str(folder / str(seed) / f"{kind}-{wish}"),
+            "--moments", str(moments), "--seed", str(seed), "--no-pictures",
+            "--set", f"source.moments.prefer={wish}", "--resume", *wishes,
+            "--out", str(folder / str(seed) / f"{kind}-{wish}"),
         ]  # fmt: skip
     rank = [sys.executable, str(HERE / "rank.py"), *(str(folder / str(seed)) for seed in seeds)]
     yield rank if flawed is None else [*rank, "--flawed", *flawed]
@@ -59,7 +62,10 @@ def main() -> int:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="SEED")
     parser.add_argument("--moments", type=int, default=50, help="a seed, kind and preference")
     parser.add_argument(
-        "--prefer", nargs="+", default=["spread", "encounters"], help="as of `deepmf-sumo attack`"
+        "--prefer",
+        nargs="+",
+        default=["spread", "encounters"],
+        help="`source.moments.prefer` of specs",
     )
     parser.add_argument("--flawed", nargs="*", metavar="PLACE", help="as of build.py")
     given = parser.parse_args()

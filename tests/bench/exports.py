@@ -66,7 +66,9 @@ def recorded(out: Path, count: int) -> list[Path]:
     scenes, spec = out / "scenes", out / "recorded.yaml"
     if not scenes.is_dir():
         net = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
-        call("data", "record", net, "--scenes", count, "--avs", 2, "--seed", 3, "--out", scenes)
+        call(
+            "data", "record", net, "--scenes", count, "--set", "avs=2", "--seed", 3, "--out", scenes
+        )
     source = {"recording": str(scenes), "scenes": {"first": count}}
     values = {"version": 1, "name": "recorded", "source": source, "planner": "replay",
               "adversary": "deepmf", "weights": "open"}  # fmt: skip
@@ -94,7 +96,7 @@ def others(out: Path, count: int) -> list[Path]:
         if share:
             made.append(out / config.stem)
             call("attack", config, "--moments", share, "--seed", 1, "--out", made[-1],
-                 "--no-pictures", "--no-risk", "--resume")  # fmt: skip
+                 "--no-pictures", "--set", "sweep.risk=false", "--resume")  # fmt: skip
     return made
 
 

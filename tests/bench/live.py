@@ -153,7 +153,7 @@ def lockstep(folder: Path, program: str, seconds: float, pause_s: float) -> None
         [BIN / "sumo", "-c", "grid.sumocfg", "--end", str(seconds), "--no-step-log",
          "--no-warnings", *FCD, "alone.xml"],
     )  # fmt: skip
-    attach = ["--out", "live", "--pause", str(pause_s)]
+    attach = ["--out", "live", "--set", f"live.pause_s={pause_s}"]
     with_us = together(folder, program, seconds, attach, fcd="with_us.xml")
     rows = (folder / "live" / "attacks.jsonl").read_text().splitlines()
     driven = {row["opponent"] for row in map(json.loads, rows)}
@@ -188,7 +188,7 @@ def together(
     if attach is None:
         other = [*script, "2", str(seconds)]
     else:
-        other = [PROGRAM, "attach", "--port", port, "--av", "ego", "--wait", "60",
+        other = [PROGRAM, "attach", "--port", port, "--av", "ego", "--set", "live.wait_s=60",
                  "--until", str(seconds), *attach]  # fmt: skip
         if "--out" not in attach:
             other += ["--out", str(folder / "unused")]

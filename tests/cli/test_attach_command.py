@@ -111,7 +111,10 @@ def test_a_script_that_leaves_ends_the_session_and_its_last_attack_is_not_counte
     simulation, port, tmp_path, capsys
 ):
     server, script = simulation(80)
-    assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 0) == 0
+    assert (
+        attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--set", "live.pause_s=0")
+        == 0
+    )
     assert (script.wait(), server.wait()) == (0, 0)
     shown = " ".join(capsys.readouterr().out.split())
     assert "2 attacks, 0 contacts; the script left at" in shown
@@ -140,7 +143,10 @@ def test_without_a_script_sumo_is_the_planner(simulation, port, tmp_path, capsys
 
 def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_path, capsys):
     simulation(60, "breaks")
-    assert attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--pause", 60) == 3
+    assert (
+        attach(port, tmp_path / "live", "--av", "av", "--duration", 3, "--set", "live.pause_s=60")
+        == 3
+    )
     (line,) = [one for one in capsys.readouterr().err.splitlines() if "deepmf-sumo:" in one]
     assert "The connection was lost at 6.0" in line or "The connection was lost at 5.9" in line
     assert len((tmp_path / "live" / "attacks.jsonl").read_text().splitlines()) == 1
@@ -149,7 +155,7 @@ def test_a_lost_connection_is_one_line_and_loses_nothing(simulation, port, tmp_p
 
 def test_an_av_that_never_comes(simulation, port, tmp_path, capsys):
     _, script = simulation(60)
-    assert attach(port, tmp_path / "live", "--av", "avv", "--patience", 2) == 3
+    assert attach(port, tmp_path / "live", "--av", "avv", "--set", "live.patience_s=2") == 3
     assert "Vehicle 'avv' has not appeared in 2 s" in (shown := capsys.readouterr().err)
     assert "Nearest: av." in shown
     assert script.wait() == 0
@@ -164,13 +170,13 @@ def test_steps_of_one_second_are_refused_without_harm(simulation, port, tmp_path
 
 def test_a_number_that_the_other_client_has(simulation, port, tmp_path, capsys):
     simulation(10)
-    assert attach(port, tmp_path / "live", "--av", "av", "--order", 1) == 3
-    assert "--order" in capsys.readouterr().err
+    assert attach(port, tmp_path / "live", "--av", "av", "--set", "live.order=1") == 3
+    assert "live.order" in capsys.readouterr().err
 
 
 def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
-    assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0.3) == 3
+    assert attach(port, tmp_path / "live", "--av", "av", "--set", "live.wait_s=0.3") == 3
     shown = capsys.readouterr().err
     assert f"No SUMO listens on localhost:{port} (waited 0.3 s)" in shown
     assert "--num-clients 2" in shown
@@ -189,7 +195,7 @@ def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
     ],
 )
 def test_a_wrong_command_is_told_before_anybody_waits(port, tmp_path, capsys, options, said):
-    assert attach(port, tmp_path / "live", "--av", "av", "--wait", 0, *options) == 2
+    assert attach(port, tmp_path / "live", "--av", "av", "--set", "live.wait_s=0", *options) == 2
     assert said in capsys.readouterr().err
 
 
@@ -197,9 +203,9 @@ def test_an_earlier_session_is_kept_until_another_begins(port, tmp_path, capsys,
     monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     (tmp_path / "manifest.json").write_text('{"tool": "deepmf-sumo", "runs": {"attack-001": ""}}')
     (tmp_path / "attacks.jsonl").write_text("earlier\n")
-    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
+    assert attach(port, tmp_path, "--av", "av", "--set", "live.wait_s=0") == 2
     assert "--overwrite deletes them, another folder for --out" in capsys.readouterr().err
-    assert attach(port, tmp_path, "--av", "av", "--wait", 0, "--overwrite") == 3
+    assert attach(port, tmp_path, "--av", "av", "--set", "live.wait_s=0", "--overwrite") == 3
     assert (tmp_path / "attacks.jsonl").read_text() == "earlier\n"
 
 
@@ -225,5 +231,5 @@ def test_who_waits_for_a_port_can_be_stopped(port):
 def test_a_folder_with_other_files_is_left_alone(port, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(attacker, "policy_of", lambda spec: Keep())
     (tmp_path / "mine.txt").write_text("mine")
-    assert attach(port, tmp_path, "--av", "av", "--wait", 0) == 2
+    assert attach(port, tmp_path, "--av", "av", "--set", "live.wait_s=0") == 2
     assert "holds other files" in capsys.readouterr().err

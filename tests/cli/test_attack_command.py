@@ -26,7 +26,7 @@ def attack(tiny, out, *more):
 
 def test_attacks_moments_of_its_own_choice_and_keeps_them(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    assert attack(tiny, out, "--moments", 2, "--duration", 1, "--", "--scale", 1) == 0
+    assert attack(tiny, out, "--moments", 2, "--set", "duration_s=1", "--", "--scale", 1) == 0
     shown = capsys.readouterr()
     assert "asks for steps of 1 s; it is run with 0.1 s" in shown.err
     assert "tiny.sumocfg: 2 vehicles from 0 to" in shown.err
@@ -41,7 +41,7 @@ def test_attacks_moments_of_its_own_choice_and_keeps_them(tiny, tmp_path, capsys
     file = out / "runs" / runs[0]["run_id"] / "result.json"
     kept, written = json.loads(file.read_text()), file.stat().st_mtime_ns
     assert [event["kind"] for event in kept["events"]] == ["step_length_changed"]
-    again = ("--resume", "--moments", 2, "--duration", 1, "--", "--scale", 1)
+    again = ("--resume", "--moments", 2, "--set", "duration_s=1", "--", "--scale", 1)
     assert attack(tiny, out, *again) == 0
     assert "2 runs: 2 ok" in capsys.readouterr().out
     assert file.stat().st_mtime_ns == written
@@ -49,7 +49,7 @@ def test_attacks_moments_of_its_own_choice_and_keeps_them(tiny, tmp_path, capsys
 
 def test_times_are_kept_and_nothing_later_is_looked_at(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    assert attack(tiny, out, "--at", 2.5, "--av", "leader", "--duration", 0.5) == 0
+    assert attack(tiny, out, "--at", 2.5, "--av", "leader", "--set", "duration_s=0.5") == 0
     assert "tiny.sumocfg: 2 vehicles from 0 to 4 s" in capsys.readouterr().err
     assert (out / "runs" / "tiny--leader-2-5s--23423" / "tracks.csv.gz").exists()
 
@@ -64,10 +64,10 @@ def test_a_late_survey_lets_sumo_drive_unseen_first(tiny):
 
 
 def test_attacks_begin_once_the_traffic_has_settled_or_when_asked(tiny, tmp_path, capsys):
-    assert attack(tiny, tmp_path / "a", "--moments", 2, "--duration", 1) == 0
+    assert attack(tiny, tmp_path / "a", "--moments", 2, "--set", "duration_s=1") == 0
     shown = capsys.readouterr().err
     assert "attacked from 1 s on, when the number of vehicles has settled at about 2" in shown
-    assert attack(tiny, tmp_path / "b", "--moments", 2, "--duration", 1, "--from", 4) == 0
+    assert attack(tiny, tmp_path / "b", "--moments", 2, "--set", "duration_s=1", "--from", 4) == 0
     assert "2 vehicles from 0 to" in (shown := capsys.readouterr().err)
     assert "; attacked from 4 s on\n" in shown
     assert "no two edges meet at any junction of the network: no moment has an encounter" in shown
@@ -103,7 +103,7 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
         (["--", "-r", "none.rou.xml"], "none.rou.xml', which does not exist.", 3),
         (["--", "--nonsense", "1"], "No option with the name 'nonsense' exists", 3),
         (["--", "--seed", "1"], "SUMO's option --seed cannot be given", 2),
-        (["--set", "source.start_s=1"], "the source is chosen by the other options", 2),
+        (["--set", "source.start_s=1"], "only those of source.moments can be set", 2),
         (["--set", "planer.x=1"], "--set planer.x=1: key 'planer': unknown key", 2),
         (["--set", "weights=nope"], "There are no weights 'nope'", 2),
         (["--planner", "imd"], "--planner: key 'planner.name': No plug-in 'imd'", 2),
@@ -125,10 +125,10 @@ def test_a_seed_of_the_configuration_that_cannot_be_used(tmp_path, capsys):
     config = tiny_network.build(tmp_path)
     seed = '<random_number><seed value="-5"/></random_number></configuration>'
     config.write_text(config.read_text().replace("</configuration>", seed))
-    assert attack(tmp_path, tmp_path / "out", "--moments", 1, "--duration", 1) == 3
+    assert attack(tmp_path, tmp_path / "out", "--moments", 1, "--set", "duration_s=1") == 3
     assert "has seed '-5', which is not a whole number from 0" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    more = ("--moments", 1, "--duration", 1, "--seed", 7)
+    more = ("--moments", 1, "--set", "duration_s=1", "--seed", 7)
     assert attack(tmp_path, tmp_path / "out", *more) == 0
 
 
@@ -181,7 +181,7 @@ def test_names_in_the_demand_are_known_without_a_simulation(tiny):
     assert demand.read(read_configuration(tiny / "tiny.sumocfg", options)) is None
 
 
-@pytest.mark.parametrize("option", ["--at", "--until", "--timeout", "--memory", "--max-minutes"])
+@pytest.mark.parametrize("option", ["--at", "--until"])
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_numbers_are_finite(tiny, tmp_path, capsys, option, value):
     assert attack(tiny, tmp_path / "out", option, value) == 2
@@ -191,8 +191,11 @@ def test_numbers_are_finite(tiny, tmp_path, capsys, option, value):
 
 def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
     first, again = tmp_path / "first", tmp_path / "again"
-    assert attack(tiny, first, "--moments", 2, "--duration", 1) == 0
-    assert attack(tiny, again, "--moments-of", first, "--duration", 1, "--planner", "sumo") == 0
+    assert attack(tiny, first, "--moments", 2, "--set", "duration_s=1") == 0
+    assert (
+        attack(tiny, again, "--moments-of", first, "--set", "duration_s=1", "--planner", "sumo")
+        == 0
+    )
     assert (first / "moments.csv").read_text() == (again / "moments.csv").read_text()
     (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
     for more, message in (
@@ -206,8 +209,8 @@ def test_moments_of_another_attack_make_pairs(tiny, tmp_path, capsys):
             "--av: key 'source.moments.av': cannot be given with 'of' (--moments-of)",
         ),
         (
-            ["--moments-of", first, "--prefer", "encounters"],
-            "--prefer: key 'source.moments.prefer': encounters cannot be given with 'of'",
+            ["--moments-of", first, "--set", "source.moments.prefer=encounters"],
+            "key 'source.moments.prefer': encounters cannot be given with 'of'",
         ),
     ):
         capsys.readouterr()
@@ -219,7 +222,7 @@ def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
     other, same = tiny / "other.sumocfg", tmp_path / "tiny.sumocfg"
     other.write_text((tiny / "tiny.sumocfg").read_text())
     out = tmp_path / "out"
-    assert attack(tiny, out, other, "--at", 2.5, "--duration", 0.5, "--", "--scale", 1) == 0
+    assert attack(tiny, out, other, "--at", 2.5, "--set", "duration_s=0.5", "--", "--scale", 1) == 0
     shown = capsys.readouterr()
     assert "2 runs: 2 ok" in shown.out
     assert "other.sumocfg: 2 vehicles" in shown.err
@@ -228,7 +231,7 @@ def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
     assert [one.partition("--")[0] for one in ids] == ["tiny", "other"]
     assert {path.name for path in (out / "runs").iterdir()} == set(ids)
     same.write_text(other.read_text().replace('value="tiny', f'value="{tiny}/tiny'))
-    asked = ("--at", 2.5, "--duration", 0.5, "--no-risk")
+    asked = ("--at", 2.5, "--set", "duration_s=0.5", "--set", "sweep.risk=false")
     assert attack(tiny, tmp_path / "folders", same, *asked) == 0
     found = {path.name.partition("--")[0] for path in (tmp_path / "folders" / "runs").iterdir()}
     assert found == {slug(tiny.name), slug(tmp_path.name)}
@@ -244,7 +247,7 @@ def test_moments_name_their_street(tiny, tmp_path):
     net = named / "tiny.net.xml"
     net.write_text(net.read_text().replace('<edge id="ab"', '<edge id="ab" name="High &amp; Low"'))
     out = tmp_path / "out"
-    assert attack(named, out, "--at", 2.5, "--av", "av", "--duration", 0.5) == 0
+    assert attack(named, out, "--at", 2.5, "--av", "av", "--set", "duration_s=0.5") == 0
     with (out / "moments.csv").open() as table:
         (moment,) = csv.DictReader(table)
     assert (moment["edge"], moment["street"]) == ("ab", "High & Low")
@@ -253,9 +256,9 @@ def test_moments_name_their_street(tiny, tmp_path):
 @pytest.mark.parametrize("mapped", [True, False])
 def test_attacks_leave_a_risk_map(tiny, tmp_path, capsys, mapped):
     out = tmp_path / "out"
-    more = ["--at", 2.5, "--av", "av", "--duration", 1]
+    more = ["--at", 2.5, "--av", "av", "--set", "duration_s=1"]
     more += ["--set", "adversary={name: rule, opponent: leader}"]
-    assert attack(tiny, out, *more, *([] if mapped else ["--no-risk"])) == 0
+    assert attack(tiny, out, *more, *([] if mapped else ["--set", "sweep.risk=false"])) == 0
     assert (f"{out}/risk/risk.html" in capsys.readouterr().out) == mapped
     assert (out / "risk" / "edges.xml").is_file() == mapped
 
@@ -264,16 +267,34 @@ def test_encounters_are_attacked_first_where_they_are_preferred(tmp_path, capsys
     """In a packed left-hand network."""
     config = crossing_network.build(tmp_path, "--lefthand", net="crossing.net.xml.gz")
     out = tmp_path / "out"
-    asked = ["--prefer", "encounters", "--moments", 1, "--duration", 4, "--no-pictures"]
-    command = ["attack", config, *asked, "--no-risk", "--set", "adversary=none", "--out", out]
+    asked = [
+        "--set",
+        "source.moments.prefer=encounters",
+        "--moments",
+        1,
+        "--set",
+        "duration_s=4",
+        "--no-pictures",
+    ]
+    command = [
+        "attack",
+        config,
+        *asked,
+        "--set",
+        "sweep.risk=false",
+        "--set",
+        "adversary=none",
+        "--out",
+        out,
+    ]
     assert main.run([str(one) for one in command]) == 0
     assert "1 moment, 1 of them before an encounter; chosen from" in capsys.readouterr().err
     with (out / "moments.csv").open() as table:
         (moment,) = csv.DictReader(table)
     assert moment["av"] in {"over1", "up1"}
     assert float(moment["encounter_s"]) < 2.0
-    assert main.run(["attack", str(config), "--prefer", "crashes"]) == 2
-    assert "'crashes' is not one of 'both', 'spread', 'encounters'" in capsys.readouterr().err
+    assert main.run(["attack", str(config), "--set", "source.moments.prefer=crashes"]) == 2
+    assert "'crashes': Input should be 'both', 'spread' or 'encounters'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("included", [False, True])

@@ -30,7 +30,15 @@ def test_long_attacks_are_in_turn_unless_something_else_is_asked_for(tiny, keys,
 
 def test_turns_have_a_table(tiny, tmp_path):
     out = tmp_path / "out"
-    asked = ["--opponents", "in_turn", "--duration", "1", "--moments", "1", "--no-pictures"]
+    asked = [
+        "--set",
+        "opponents=in_turn",
+        "--set",
+        "duration_s=1",
+        "--moments",
+        "1",
+        "--no-pictures",
+    ]
     command = ["attack", str(tiny / "tiny.sumocfg"), "--out", str(out), *asked]
     assert main.run([*command, "--set", "adversary=none"]) == 0
     with (out / "runs.csv").open() as table:
@@ -41,6 +49,6 @@ def test_turns_have_a_table(tiny, tmp_path):
 
 def test_a_search_for_one_attack_takes_no_turns(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    asked = ["--set", "adversary=bbo", "--opponents", "in_turn", "--duration", "20"]
+    asked = ["--set", "adversary=bbo", "--set", "opponents=in_turn", "--set", "duration_s=20"]
     assert main.run(["attack", str(tiny / "tiny.sumocfg"), "--out", str(out), *asked]) == 2
     assert "bbo looks for one attack" in capsys.readouterr().err

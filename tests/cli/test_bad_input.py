@@ -109,12 +109,12 @@ def test_scenes_convert_and_run_agree_on_what_is_no_recording(recordings, tmp_pa
     (tmp_path / "empty").mkdir()
     (tmp_path / "nil.tfrecord").touch()
     for name, why in (("empty", "There is no scene in"), ("nil.tfrecord", "contains no scene")):
-        for more in (["scenes"], ["convert", "--out", str(tmp_path / "nets")]):
+        for more in (["data", "list"], ["data", "convert", "--out", str(tmp_path / "nets")]):
             assert main.run([*more, str(tmp_path / name)]) == 3
             said = " ".join("".join(capsys.readouterr()).split())
             assert why in said
             assert str(tmp_path / name) in said
-    assert main.run(["scenes", str(recordings / "f.txt")]) == 3
+    assert main.run(["data", "list", str(recordings / "f.txt")]) == 3
     assert "f.txt has an unknown format" in capsys.readouterr().err
 
 
@@ -165,10 +165,9 @@ def test_configurations_that_do_not_load(tiny, tmp_path, capsys):
     "command",
     [
         ["run", "good.yaml", "--out", "file/out"],
-        ["record", "tiny.sumocfg", "--scenes", "1", "--out", "file/out"],
+        ["data", "record", "tiny.sumocfg", "--scenes", "1", "--out", "file/out"],
         ["init", "file/out"],
-        ["schema", "--out", "file/out"],
-        ["record", "tiny.sumocfg", "--every", "nan", "--out", "out"],
+        ["data", "record", "tiny.sumocfg", "--set", "every_s=.nan", "--out", "out"],
     ],
 )
 def test_where_nothing_can_be_written(tiny, monkeypatch, capsys, command):
@@ -177,7 +176,7 @@ def test_where_nothing_can_be_written(tiny, monkeypatch, capsys, command):
     monkeypatch.chdir(tiny)
     assert main.run(command) == 2
     shown = capsys.readouterr().err
-    assert "file/out" in shown or "--every" in shown
+    assert "file/out" in shown or "every_s" in shown
     assert "Traceback" not in shown
     assert "unexpected" not in shown
     assert not (tiny / "out").exists()
@@ -202,7 +201,7 @@ def test_sumo_gui_shows_the_same_episode(tiny, tmp_path):
     spec = tiny_network.spec(tiny, "seen")
     command = [sys.executable, "-m", "deepmf_sumo.cli.main", "run", str(spec), "--no-pictures"]
     screen = [] if os.environ.get("DISPLAY") else ["xvfb-run", "-a"]
-    for start, name, more in (([], "plain", []), (screen, "gui", ["--gui"])):
+    for start, name, more in (([], "plain", []), (screen, "gui", ["--set", "sweep.gui=true"])):
         done = subprocess.run(
             [*start, *command, "--out", str(tmp_path / name), *more],
             check=False,

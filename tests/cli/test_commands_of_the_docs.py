@@ -36,7 +36,6 @@ def parse(arguments):
     name, rest = arguments[0], arguments[1:]
     command = group.get_command(context, name)
     assert command is not None, f"no command '{name}'"
-    assert name not in main.OLD_NAMES, f"'{name}' is an old name"
     if isinstance(command, click.Group):
         if not rest or rest[0].startswith("-"):
             return

@@ -129,7 +129,7 @@ def test_attacks_beside(tmp_path, capsys):
         (("--from", 50, "--until", 20), "--until 20: must be later than the beginning at 50 s"),
         (("--until", 0), "--until 0: must be later than the beginning at 0 s"),
         (("--from", 400), "--from 400: roundabout.sumocfg ends at 300 s; choose an earlier time"),
-        (("--ttc", "nan"), "is not a finite number"),
+        (("--set", "ttc_s=.nan"), "key 'ttc_s'"),
         (("--", "--step-length", "1"), "--step-length cannot be given"),
     ],
 )

@@ -27,7 +27,9 @@ def test_the_worst_ending_counts(tmp_path, monkeypatch, form, judged):
         other = {"status": "ok", "expectations_broken": [], "run_id": "b"}
         forms = [] if form is None else [_form(tmp_path / form, whole=form == "sound")]
         options = SimpleNamespace(out=tmp_path, formats=forms)
-        sweep = SimpleNamespace(options=options, thresholds=judged, baseline=None)
+        sweep = SimpleNamespace(
+            options=options, keys=SimpleNamespace(thresholds=judged, baseline=None)
+        )
         code = _sweep.end(sweep, [each, other], missing)
         if missing:
             expected = 130

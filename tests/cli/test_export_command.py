@@ -126,7 +126,7 @@ def test_a_run_whose_recording_and_network_are_gone_fails(made, capsys):
         (("--to", "scene", "--set", "digits=3"), "unknown key 'digits'"),
         (("--to", "scene", "--set", "digits"), "must be key=value"),
         (("--to", "scene", "--only", "misses"), "misses"),
-        (("--to", "scene", "--without-av"), "--without-av is for --to openscenario"),
+        (("--to", "scene", "--set", "without_av=true"), "without_av"),
         (("--to", "geopackage", "--only", "hits"), "one map of all runs; it takes --out alone"),
         ((), "--to"),
     ],

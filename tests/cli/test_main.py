@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 import pytest
 
-from deepmf_sumo.cli import data, main
+from deepmf_sumo.cli import _gone as gone
+from deepmf_sumo.cli import _keys, data, main
 from deepmf_sumo.errors import ReaderError, SpecError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,9 +26,68 @@ def test_help_lists_the_files_of_the_folder():
     files = {
         path.stem.removesuffix("_") for path in (ROOT / "deepmf_sumo" / "cli").glob("[!_]*.py")
     }
-    listed = done.stdout.partition("Commands:")[2]
+    listed = done.stdout.partition("Attack:")[2]
     assert "  -" not in listed
-    assert [line.split()[0] for line in listed.strip().splitlines()] == sorted(files - {"main"})
+    lines = [line for line in listed.splitlines() if line.startswith("  ")]
+    assert sorted(line.split()[0] for line in lines) == sorted(files - {"main"})
+    assert [one for one in listed.splitlines() if one.endswith(":")] == [
+        f"{title}:" for title in main.SECTIONS if title != "Attack"
+    ]
+
+
+def every_command():
+    """All commands by their names, those of groups with the group's."""
+    context = click.Context(main.commands)
+    for name in main.commands.list_commands(context):
+        command = main.commands.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from ((f"{name} {one}", each) for one, each in command.commands.items())
+        else:
+            yield name, command
+
+
+def test_options_fit_into_a_head():
+    counts = {
+        name: sum(isinstance(one, click.Option) for one in command.params)
+        for name, command in every_command()
+    }
+    assert max(counts.values()) <= 20
+    assert sum(counts.values()) <= 130
+    assert not any(command.hidden for _, command in every_command())
+    assert not any(
+        getattr(one, "hidden", False) for _, each in every_command() for one in each.params
+    )
+
+
+@pytest.mark.parametrize("name", gone.COMMANDS)
+def test_a_command_that_is_gone_says_what_to_write(capsys, name):
+    assert main.run([name, "x", "--out", "y"]) == 2
+    told = capsys.readouterr().err
+    assert f"There is no command '{name}' any more; write `{gone.COMMANDS[name]}`." in told
+
+
+def instead():
+    for name, options in gone.OPTIONS.items():
+        for option, text in options.items():
+            yield pytest.param(name, option, text, id=f"{name} {option}")
+
+
+@pytest.mark.parametrize(("name", "option", "text"), list(instead()))
+def test_an_option_that_is_gone_says_what_to_write(capsys, name, option, text):
+    """And what it says is an option that the command has, with a key that it knows."""
+    assert main.run([*name.split(), option, "x"]) == 2
+    assert f"{name} has no {option} any more; write {text}." in " ".join(
+        capsys.readouterr().err.split()
+    )
+    command = dict(every_command())[name]
+    known = {each for one in command.params for each in (*one.opts, *one.secondary_opts)}
+    assert option not in known
+    for part in re.split(r", or |; | or ", text):
+        for found in re.findall(r"^--[a-z-]+", part):
+            assert found in known
+    for head, key in re.findall(r"--set (sweep|live)\.(\w+)=", text):
+        model = {"sweep": _keys.SweepKeys, "live": _keys.AttachKeys}[head]
+        assert key in model.model_fields
 
 
 def test_help_fits_a_terminal_of_80_columns(capsys):
@@ -55,17 +115,6 @@ def test_every_option_is_explained_by_a_sentence():
             assert option.help, told
             assert option.help[0].isupper(), told
             assert re.search(r"[.\]]$", option.help), told
-
-
-@pytest.mark.parametrize("old", main.OLD_NAMES)
-def test_old_names_work_and_say_the_new_one(capsys, old):
-    assert main.run([old, "--help"]) == 0
-    shown = capsys.readouterr()
-    [line] = shown.err.splitlines()
-    assert line.startswith(f"deepmf-sumo: `{old}` is now `deepmf-sumo {main.OLD_NAMES[old]}`")
-    assert f"Usage: deepmf-sumo {old} " in shown.out
-    main.run(["--help"])
-    assert f"  {old} " not in capsys.readouterr().out
 
 
 def test_a_mistyped_command_gets_a_suggestion(capsys):

@@ -20,7 +20,7 @@ def attack(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
 
     def call(planner, *more):
-        fixed = ["--av", "leader", "--at", "2", "--duration", "1", "--no-pictures", "--no-risk"]
+        fixed = ["--av", "leader", "--at", "2", "--set", "duration_s=1", "--no-pictures"]
         first = ["attack", str(tiny / "tiny.sumocfg"), "--set", "adversary=none", "--out", "out"]
         return main.run([*first, *fixed, "--planner", planner, *more])
 

@@ -12,7 +12,7 @@ from deepmf_sumo.study.sweep import workers
 from deepmf_sumo.training import generated
 from deepmf_sumo.training.recording import many
 
-GENERATE = ["--generate", "junctions", "--scenes", "3", "--avs", "2", "--start", "15"]
+GENERATE = ["--generate", "junctions", "--scenes", "3", "--set", "avs=2", "--set", "start_s=15"]
 
 
 def contents(folder):
@@ -46,7 +46,7 @@ def test_the_same_files_whatever_the_jobs_and_a_cut_off_command_goes_on(tmp_path
     lost.rmdir()
     assert main.run([*command, "--out", str(two)]) == 0
     assert contents(two) == files
-    assert main.run([*command, "--every", "20", "--out", str(two)]) == 2
+    assert main.run([*command, "--set", "every_s=20", "--out", str(two)]) == 2
     assert "another command" in capsys.readouterr().err
     assert contents(two) == files
 
@@ -106,8 +106,8 @@ def test_a_configuration_that_gives_nothing_is_an_error(tmp_path, monkeypatch, c
         (["--generate", "moebius"], "moebius"),
         (["--generate", "grid", "--networks", "0"], "--networks"),
         (["--generate", "grid", "--jobs", "0"], "--jobs"),
-        (["--generate", "grid", "--avs", "-1"], "--avs"),
-        (["--generate", "grid", "--start", "inf"], "--start"),
+        (["--generate", "grid", "--set", "avs=-1"], "avs"),
+        (["--generate", "grid", "--set", "start_s=.inf"], "start_s"),
         (["missing.sumocfg"], "missing.sumocfg"),
         ([], "nothing to record"),
     ],

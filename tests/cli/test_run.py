@@ -14,7 +14,17 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_runs_and_prints_a_table(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     path = tiny_network.spec(tiny, "shown")
-    arguments = ["run", path, "--out", out, "--seed", 3, "--no-pictures", "--junit"]
+    arguments = [
+        "run",
+        path,
+        "--out",
+        out,
+        "--seed",
+        3,
+        "--no-pictures",
+        "--set",
+        "sweep.junit=true",
+    ]
     assert main.run([str(one) for one in arguments]) == 0
     captured = capsys.readouterr()
     assert "shown--tiny--3" in captured.out

@@ -25,12 +25,11 @@ def run(*arguments):
     return CliRunner().invoke(command, [str(one) for one in arguments])
 
 
-def test_a_row_a_scene(data, tmp_path):
-    result = run(data, "--csv", tmp_path / "rows.csv")
+def test_a_row_a_scene(data):
+    assert "3 scenes: 1 ok, 1 repaired, 1 refused" in run(data).output
+    result = run(data, "--format", "csv")
     assert result.exit_code == 0
-    assert "3 scenes: 1 ok, 1 repaired, 1 refused" in result.output
-    with (tmp_path / "rows.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = list(csv.DictReader(result.output.splitlines()))
     assert tuple(rows[0]) == COLUMNS
     assert rows[0] == {
         "file": str(data),
@@ -68,10 +67,10 @@ def test_nothing_readable_ends_with_3(tmp_path):
     assert "1 scene: 0 ok, 0 repaired, 1 refused" in result.output
 
 
-def test_a_missing_path_is_a_usage_error_and_leaves_no_csv(tmp_path):
-    result = run(tmp_path / "none", "--csv", tmp_path / "rows.csv")
+def test_a_missing_path_is_a_usage_error(tmp_path):
+    result = run(tmp_path / "none", "--format", "csv")
     assert isinstance(result.exception, UsageError)
-    assert list(tmp_path.iterdir()) == []
+    assert not result.output
 
 
 def test_ids_are_no_markup_and_do_not_end_the_listing(tmp_path):
@@ -79,10 +78,10 @@ def test_ids_are_no_markup_and_do_not_end_the_listing(tmp_path):
     for number, name in enumerate(names):
         described = gpudrive(scenario()) | {"scenario_id": name}
         (tmp_path / f"{number}.json").write_text(json.dumps(described))
-    result = run(tmp_path, "--csv", tmp_path / "rows.csv")
+    result = run(tmp_path)
     assert result.exit_code == 0
     assert "4 scenes: 3 ok, 0 repaired, 1 refused" in result.output
     assert all(name in result.output for name in ("[/x]", "[red]", "last"))
     assert "\x1b[2J" not in result.output
-    with (tmp_path / "rows.csv").open(newline="") as file:
-        assert [row["scene"] for row in csv.DictReader(file)] == ["[/x]", "[red]", "2", "last"]
+    rows = csv.DictReader(run(tmp_path, "--format", "csv").output.splitlines())
+    assert [row["scene"] for row in rows] == ["[/x]", "[red]", "2", "last"]

@@ -1,4 +1,4 @@
-"""What `run`, `attack`, `benchmark` and `reproduce` share: shards, limits, thresholds, signals."""
+"""What `run` and `attack` share: shards, limits, thresholds, signals."""
 
 import csv
 import json
@@ -21,10 +21,11 @@ from deepmf_sumo.study.sweep import shards
 from tests.support import same_bytes, tiny_network, tiny_plan
 
 SHARED = (
-    "--jobs", "--executor", "--out", "--resume", "--overwrite", "--shard", "--max-minutes",
-    "--timeout", "--memory", "--gui", "--pictures", "--junit", "--export", "--thresholds",
-    "--baseline", "--device",
+    "--out", "--resume", "--overwrite", "--jobs", "--shard", "--pictures", "--export", "--set",
 )  # fmt: skip
+
+
+NO_TIME = ("--set", "sweep.max_minutes=1.0e-9")
 
 
 def call(*arguments):
@@ -55,28 +56,22 @@ def whole(folders, tmp_path):
     return Path(shutil.copytree(folders / "whole", tmp_path / "copy"))
 
 
-@pytest.mark.parametrize("command", ["run", "attack", "evaluate"])
+@pytest.mark.parametrize("command", ["run", "attack", "evaluate", "train"])
 def test_a_gpu_that_is_not_there_is_refused_before_anything_runs(
     command, specs, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    monkeypatch.setenv("DEEPMF_SUMO_DEVICE", "cpu")
+    monkeypatch.setenv("DEEPMF_SUMO_DEVICE", "cuda")
     out = () if command == "evaluate" else ("--out", tmp_path / "out")
-    given = {"run": specs[:1], "attack": [specs[0]], "evaluate": [tmp_path]}[command]
-    assert call(command, *given, *out, "--device", "cuda") == 2
-    assert "There is no CUDA device for --device cuda; use cpu or auto." in capsys.readouterr().err
+    given = {"run": specs[:1], "attack": [specs[0]], "evaluate": [tmp_path]}
+    given["train"] = ["all", "--data", tmp_path]
+    assert call(command, *given[command], *out) == 2
+    told = "There is no CUDA device for DEEPMF_SUMO_DEVICE=cuda; use cpu or auto."
+    assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    assert os.environ["DEEPMF_SUMO_DEVICE"] == "cpu"
 
 
-def test_the_device_reaches_the_predictors(specs, tmp_path, monkeypatch):
-    monkeypatch.setenv("DEEPMF_SUMO_DEVICE", "gpu")  # refused where it is read
-    done = call("run", specs[0], "--no-pictures", "--out", tmp_path / "out", "--device", "auto")
-    assert done == 0
-    assert os.environ["DEEPMF_SUMO_DEVICE"] == "auto"
-
-
-@pytest.mark.parametrize("command", ["run", "attack", "benchmark", "reproduce"])
+@pytest.mark.parametrize("command", ["run", "attack"])
 def test_every_sweep_has_the_same_options(command, capsys):
     call(command, "--help")
     shown = capsys.readouterr().out
@@ -102,7 +97,7 @@ def test_shards_are_merged_to_the_whole(folders, tmp_path, capsys):
 
 def test_each_spec_runs_with_each_seed(specs, tmp_path, capsys):
     out = tmp_path / "out"
-    run = ("run", *specs[:2], "--no-pictures", "--junit", "--jobs", 2)
+    run = ("run", *specs[:2], "--no-pictures", "--set", "sweep.junit=true", "--jobs", 2)
     assert call(*run, "--seeds", "7-8, 11", "--out", out) == 0
     assert "6 runs: 6 ok" in capsys.readouterr().out
     table = (out / "runs.csv").read_text().splitlines()
@@ -206,14 +201,15 @@ def test_a_damaged_result_is_named_by_merge_and_done_again_by_resume(
 def test_thresholds_are_judged_at_the_end(specs, whole, tmp_path, capsys):
     file = tmp_path / "thresholds.yaml"
     file.write_text("version: 1\nmax_av_collision_rate: 0.1\n")
-    sweep = ("run", *specs, "--out", whole, "--resume", "--thresholds", file, "--junit")
+    sweep = ("run", *specs, "--out", whole, "--resume", "--set", f"sweep.thresholds={file}")
+    sweep += ("--set", "sweep.junit=true")
     assert call(*sweep) == 0
     assert "max_av_collision_rate" in capsys.readouterr().out
     assert "max_av_collision_rate" in (whole / "junit.xml").read_text()
     file.write_text("version: 1\nmin_judged_runs: 99\n")
     assert call(*sweep) == 3
     shutil.rmtree(next((whole / "runs").iterdir()))
-    assert call(*sweep, "--max-minutes", 1e-9) == 130
+    assert call(*sweep, *NO_TIME) == 130
     assert "1 run not begun: --resume goes on" in capsys.readouterr().out
 
 
@@ -222,8 +218,8 @@ def test_a_spec_whose_runs_never_began_is_no_verdict(specs, whole, tmp_path, cap
     shutil.rmtree(whole / "runs" / "part-1--tiny--1")
     file = tmp_path / "thresholds.yaml"
     file.write_text("version: 1\nmax_failed_runs: 9\nspecs: {part 1: {max_failed_runs: 0}}\n")
-    sweep = ("run", *specs, "--out", whole, "--resume", "--thresholds", file)
-    assert call(*sweep, "--max-minutes", 1e-9) == 130
+    sweep = ("run", *specs, "--out", whole, "--resume", "--set", f"sweep.thresholds={file}")
+    assert call(*sweep, *NO_TIME) == 130
     assert call("check", whole, "-t", file) == 3
     assert "spec part 1: max_failed_runs is 1 (1 run), allowed at most 0" in capsys.readouterr().out
     assert call(*sweep) == 0
@@ -269,7 +265,7 @@ def test_a_run_of_another_spec_whose_files_changed_is_in_no_table(tiny, tmp_path
 def test_runs_of_another_spec_that_never_began_are_still_missing(specs, whole, capsys):
     shutil.rmtree(whole / "runs" / "part-1--tiny--1")
     sweep = ("run", "--no-pictures", "--out", whole, "--resume")
-    assert call(*sweep, *specs, "--max-minutes", 1e-9) == 130
+    assert call(*sweep, *specs, *NO_TIME) == 130
     assert call(*sweep, specs[0]) == 130
     assert "1 run of other specs in the folder: never begun" in capsys.readouterr().err
     assert call("check", whole, "--write-baseline", whole.parent / "b.json") == 3
@@ -281,7 +277,7 @@ def test_an_attack_that_is_switched_off_is_no_verdict(tiny, tmp_path, capsys):
     assert call("run", *names, "--no-pictures", "--out", tmp_path / "old") == 0
     new = ("run", *names, "--no-pictures", "--out", tmp_path / "new", "--set", "adversary=none")
     capsys.readouterr()
-    assert call(*new, "--baseline", tmp_path / "old") == 3
+    assert call(*new, "--set", f"sweep.baseline={tmp_path / 'old'}") == 3
     assert "adversary was 'rule' and is 'none' (6 runs)" in capsys.readouterr().out
     assert call("check", tmp_path / "old", "--baseline", tmp_path / "old") != 1
 
@@ -295,17 +291,18 @@ def test_what_is_wrong_is_said_before_anything_is_lost(specs, whole, tmp_path, c
     results |= {"runs": [], "attacks": {}}
     old.write_text(json.dumps(results))
     for wrong, told in {
-        ("--thresholds", bad): "Did you mean 'max_collision_rate'?",
-        ("--thresholds", good, "--baseline", old): "was made by version 0.0.1",
-        ("--baseline", old): "was made by version 0.0.1",
-        ("--executor", "rays"): "must be local, ray, or ray://HOST:PORT",
-        ("--executor", "ray", "--gui"): "--gui shows runs on this machine",
+        (f"sweep.thresholds={bad}",): "Did you mean 'max_collision_rate'?",
+        (f"sweep.thresholds={good}", f"sweep.baseline={old}"): "was made by version 0.0.1",
+        (f"sweep.baseline={old}",): "was made by version 0.0.1",
+        ("sweep.executor=rays",): "must be local, ray, or ray://HOST:PORT",
+        ("sweep.executor=ray", "sweep.gui=true"): "sweep.gui shows runs on this machine",
         ("--shard", "3/2"): "must be i/n with 1 <= i <= n",
         ("--shard", "4/4", "--overwrite"): "There are 3 runs: this shard of them is empty",
         ("--resume", "--overwrite"): "leave one of them out",
         (): "holds the results of an earlier command: --resume goes on with them, --overwrite",
     }.items():
-        assert call("run", *specs, "--out", whole, *wrong) == 2
+        sets = (part for one in wrong for part in (["--set", one] if "=" in one else [one]))
+        assert call("run", *specs, "--out", whole, *sets) == 2
         assert told in capsys.readouterr().err.strip().splitlines()[-1]
         assert json.loads((whole / "summary.json").read_text())["runs"] == 3
 
@@ -325,8 +322,8 @@ def test_results_are_replaced_where_that_is_asked_for(folders, specs, whole, tmp
 def test_without_a_display_the_screen_is_refused(specs, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert call("run", *specs, "--out", tmp_path / "out", "--gui") == 2
-    assert "--gui: there is no display" in capsys.readouterr().err
+    assert call("run", *specs, "--out", tmp_path / "out", "--set", "sweep.gui=true") == 2
+    assert "sweep.gui: there is no display" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

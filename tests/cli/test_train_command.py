@@ -43,7 +43,9 @@ def card(folder):
 
 def test_sources_are_mixed_by_weight_and_listed_in_the_card(train, folder, tmp_path):
     mine, sumo = f"{folder / 'mine'}=3", f"{folder / 'sumo'}=1"
-    code, text, _ = train("--data", mine, "--data", sumo, "--steps", 2, "--licence", "ours")
+    code, text, _ = train(
+        "--data", mine, "--data", sumo, "--set", "steps=2", "--set", "licence=ours"
+    )
     assert code == 0
     assert "sumo: 1 record(s) cannot be used and are left out: broken.npz" in text
     found = card(tmp_path / "set")
@@ -61,7 +63,7 @@ def test_sources_are_mixed_by_weight_and_listed_in_the_card(train, folder, tmp_p
 
 
 def test_what_has_been_made_is_left_as_it_is(train, folder, tmp_path):
-    arguments = ["--data", folder / "mine", "--steps", 2]
+    arguments = ["--data", folder / "mine", "--set", "steps=2"]
     train(*arguments)
     file = tmp_path / "set" / "opponent.safetensors"
     first, time = file.read_bytes(), file.stat().st_mtime_ns
@@ -71,18 +73,18 @@ def test_what_has_been_made_is_left_as_it_is(train, folder, tmp_path):
     train(*arguments, "--again")
     assert file.stat().st_mtime_ns > time
     assert file.read_bytes() == first  # the same seed, the same bytes
-    train(*arguments, "--seed", 1)
+    train(*arguments, "--set", "seed=1")
     assert file.read_bytes() != first
 
 
-def test_a_file_says_what_flags_do_not(train, folder, tmp_path):
+def test_a_key_may_be_set_over_those_of_a_file(train, folder, tmp_path):
     file = folder / "train.yaml"
     file.write_text(
         "version: 1\ndata: [mine]\nseed: 5\nsteps: 9\nlicence: theirs\n"
         "opponent: {steps: 2, batch: 4}\n",
         encoding="utf-8",
     )
-    assert train("--config", file, "--batch", 2)[0] == 0
+    assert train("--config", file, "--set", "opponent.batch=2")[0] == 0
     found = card(tmp_path / "set")
     assert (found["seed"], found["steps"], found["licence"]) == (5, 2, "theirs")
     assert found["schedule"]["batch"] == 2
@@ -90,9 +92,12 @@ def test_a_file_says_what_flags_do_not(train, folder, tmp_path):
 
 def test_a_network_begins_from_another_set(train, folder, tmp_path):
     data = ["--data", folder / "mine"]
-    train(*data, "--steps", 2, out="before")
+    train(*data, "--set", "steps=2", out="before")
     first = tmp_path / "before"
-    assert train(*data, "--steps", 1, "--rate", 1e-12, "--from", first)[0] == 0
+    assert (
+        train(*data, "--set", "steps=1", "--set", "rate=1.0e-12", "--set", f"begin_from={first}")[0]
+        == 0
+    )
     before = load_file(first / "opponent.safetensors")
     after = load_file(tmp_path / "set" / "opponent.safetensors")
     assert card(tmp_path / "set")["began_from"] == str(first)
@@ -108,15 +113,15 @@ def test_what_one_network_cannot_begin_from_is_said_before_another_is_trained(
     train, folder, tmp_path, capsys
 ):
     data, first, made = ["--data", str(folder / "mine")], tmp_path / "before", tmp_path / "set"
-    assert train(*data, "--steps", 2, out="before")[0] == 0  # an opponent network alone
-    code = main.run(["train", "all", *data, "--from", str(first), "--out", str(made)])
+    assert train(*data, "--set", "steps=2", out="before")[0] == 0  # an opponent network alone
+    code = main.run(["train", "all", *data, "--set", f"begin_from={first}", "--out", str(made)])
     assert code == 2
     assert "marginal" in capsys.readouterr().err
     assert not made.exists()
 
 
 def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_path, monkeypatch):
-    arguments = ["--data", folder / "mine", "--steps", 2]
+    arguments = ["--data", folder / "mine", "--set", "steps=2"]
 
     real = checkpoints.write
 
@@ -144,11 +149,11 @@ def test_weights_that_cannot_be_written_leave_the_checkpoint(train, folder, tmp_
         (["--data", "nowhere"], "nowhere does not exist"),
         (["--data", "nowhere=much"], "'much' is not a weight"),
         (["--data", "mine=1", "--data", "sumo"], "sumo has no weight"),
-        (["--data", "mine", "--preset", "huge"], "huge"),
-        (["--data", "mine", "--from", "nobody"], "There are no weights 'nobody'"),
-        (["--data", "mine", "--ema", "1"], "--ema"),
-        (["--data", "mine", "--rate", "2"], "--rate"),
-        (["--data", "mine", "--weight-decay", "2"], "--weight-decay"),
+        (["--data", "mine", "--set", "preset=huge"], "huge"),
+        (["--data", "mine", "--set", "begin_from=nobody"], "There are no weights 'nobody'"),
+        (["--data", "mine", "--set", "ema=1"], "key 'ema'"),
+        (["--data", "mine", "--set", "rate=2"], "key 'rate'"),
+        (["--data", "mine", "--set", "weight_decay=2"], "key 'weight_decay'"),
         (["--data", "mine", "--config", "missing.yaml"], "missing.yaml"),
     ],
 )

@@ -1,4 +1,4 @@
-"""``train marginal --members``, and a set whose second member is missing, from the command line."""
+"""``train marginal --set members=N``, and a set whose second member is missing."""
 
 import json
 import shutil
@@ -35,19 +35,23 @@ def trained(monkeypatch, tmp_path, capsys):
 
 def test_the_marginal_network_alone_has_members(trained):
     assert trained("marginal") == (0, [(1, "all")], "")
-    assert trained("marginal", "--members", 3) == (0, [(3, "all")], "")
-    code, asked, error = trained("opponent", "--members", 3)
+    assert trained("marginal", "--set", "members=3") == (0, [(3, "all")], "")
+    code, asked, error = trained("opponent", "--set", "members=3")
     assert (code, asked) == (2, [])
-    assert "--members applies to the marginal network; the opponent network has one" in error
-    assert trained("all", "--members", 1)[1] == [(0, "opponent"), (1, "all"), (0, "conditional")]
+    assert "members applies to the marginal network; the opponent network has one" in error
+    assert trained("all", "--set", "members=1")[1] == [
+        (0, "opponent"),
+        (1, "all"),
+        (0, "conditional"),
+    ]
 
 
 @pytest.mark.parametrize("value", ["0", "9", "two"])
 def test_a_number_of_members_that_is_none(trained, value):
-    code, asked, error = trained("marginal", "--members", value)
+    code, asked, error = trained("marginal", "--set", f"members={value}")
     assert code == 2
     assert not asked
-    assert "--members" in error
+    assert "key 'members'" in error
 
 
 def test_a_missing_member_is_one_sentence(tmp_path, capsys):
@@ -61,4 +65,4 @@ def test_a_missing_member_is_one_sentence(tmp_path, capsys):
     error = capsys.readouterr().err
     assert code == 2
     assert error.count("\n") == 1
-    assert "marginal-2.json is missing; make it with `deepmf-sumo train marginal --mem" in error
+    assert "marginal-2.json is missing; make it with `deepmf-sumo train marginal --set mem" in error

@@ -141,19 +141,23 @@ with deepmf_sumo.Attacker(libsumo, av="flow_n_w.1", trigger="time=41", out="out/
 
 FOUR_WAY: Final = "sumo_nets/four_way/four_way.sumocfg"
 COMMANDS: Final[tuple[tuple[str, ...], ...]] = (
-    ("record", FOUR_WAY, "--scenes", "3", "--avs", "2", "--seed", "3", "--out", "out/scenes"),
-    ("run", "specs/net", "--out", "out/network", "--scenes", "--junit"),
+    ("data", "record", FOUR_WAY, "--scenes", "3", "--set", "avs=2", "--seed", "3",
+     "--out", "out/scenes"),
+    ("run", "specs/net", "--out", "out/network", "--scenes", "--set", "sweep.junit=true"),
     ("run", "specs/log", "--out", "out/recorded", "--report"),
     ("attack", FOUR_WAY, "--moments", "3", "--seed", "5", "--until", "120", "--out", "out/attack"),
-    ("attack", FOUR_WAY, "--moments", "2", "--prefer", "encounters", "--set",
+    ("attack", FOUR_WAY, "--moments", "2", "--set", "source.moments.prefer=encounters", "--set",
      "adversary.opponent=met", "--set", "adversary.version=S2", "--set", "adversary.rule=expected",
      "--until", "120", "--out", "out/met"),
-    ("benchmark", "plan.yaml", "--out", "out/benchmark"),
+    ("run", "plan.yaml", "--out", "out/benchmark"),
     ("risk", "out/attack", "out/met", "--out", "out/risk"),
     ("compare", "out/attack", "out/met", "--out", "out/compared"),
-    ("table", "out/network", "out/recorded", "--all", "--csv", "out/table.csv"),
+    ("show", "out/network", "out/recorded", "--format", "csv"),
 )  # fmt: skip
-"""In this order, in a folder that holds `sumo_nets`, `scenarios`, `specs` and `plan.yaml`."""
+"""In this order, in a folder that holds `sumo_nets`, `scenarios`, `specs` and `plan.yaml`.
+
+A version before is asked in its own words: by the list of this name in its own copy of this file.
+"""
 
 
 def write(folder: Path, scenarios: Path) -> None:

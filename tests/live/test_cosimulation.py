@@ -72,7 +72,7 @@ def test_an_av_of_another_simulator_is_attacked_and_never_moved(
     out = tmp_path / "live"
     try:
         arguments = ["attach", "--port", port, "--av", "av", "--until", "8", "--out", str(out)]
-        assert main.run([*arguments, "--duration", "3", "--pause", "0"]) == 0
+        assert main.run([*arguments, "--duration", "3", "--set", "live.pause_s=0"]) == 0
         assert (script.wait(timeout=60), server.wait(timeout=60)) == (0, 0)
     finally:
         for process in (script, server):

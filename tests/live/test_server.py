@@ -136,7 +136,9 @@ def test_without_attacks_a_client_sees_what_it_sees_of_sumo(tiny, served, tmp_pa
 
 
 def test_its_vehicle_is_attacked(served, tmp_path):
-    process, port = served("av", "--duration", "3", "--pause", "0", "--set", "adversary=G")
+    process, port = served(
+        "av", "--duration", "3", "--set", "live.pause_s=0", "--set", "adversary=G"
+    )
     seen = client(port, 0.1, tmp_path / "seen.json")
     out, told = process.communicate(timeout=60)
     assert process.returncode == 0, told
@@ -351,7 +353,16 @@ def test_a_client_that_loads_sees_what_it_sees_of_sumo(tiny, served, tmp_path):
 
 
 def test_attacks_go_on_in_the_simulation_that_is_loaded(tiny, served, tmp_path):
-    wish = ["--duration", "3", "--pause", "0", "--attacks", "2", "--set", "adversary=G"]
+    wish = [
+        "--duration",
+        "3",
+        "--set",
+        "live.pause_s=0",
+        "--set",
+        "live.attacks=2",
+        "--set",
+        "adversary=G",
+    ]
     process, port = served("av", *wish)
     loading(port, tiny, tmp_path / "seen.json")
     out, told = process.communicate(timeout=60)
@@ -487,7 +498,9 @@ def test_status_and_a_switch_over_http(served, tmp_path):
         with urllib.request.urlopen(request, timeout=20) as answer:
             return answer.read().decode()
 
-    process, port = served("av", "--duration", "3", "--pause", "0", "--http", "0", status=True)
+    process, port = served(
+        "av", "--duration", "3", "--set", "live.pause_s=0", "--set", "live.http=0", status=True
+    )
     http, port = port, int(re.search(r"port (\d+)", process.stderr.readline())[1])
     (waiting,) = json.loads(ask("/status"))["avs"]
     assert waiting == {"av": "av", "last_failure": "the first step has not come yet"}

@@ -160,14 +160,15 @@ def test_planners_of_one_spec_are_not_mixed(tmp_path):
 @pytest.mark.parametrize("folders", [1, 2, 12])
 def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
     made = [folder(tmp_path / f"out{number}", HIT_AND_MISS) for number in range(folders)]
-    assert main.run(["table", *map(str, made), "--csv", str(tmp_path / "table.csv")]) == 0
+    assert main.run(["show", *map(str, made)]) == 0
     told = capsys.readouterr().out
     assert "planner idm" in told
     assert told.count("50 % (1 to 99)") == folders
     assert "never met: 1 of 2" in told
     assert ("--all shows all quantities" in told) == (folders == 12)
-    assert (tmp_path / "table.csv").read_text().count("\n") == folders + 1
-    assert main.run(["table", "--all", *map(str, made)]) == 0
+    assert main.run(["show", "--format", "csv", *map(str, made)]) == 0
+    assert capsys.readouterr().out.count("\n") == folders + 1
+    assert main.run(["show", "--all", *map(str, made)]) == 0
     assert capsys.readouterr().out.count("1 rear end") == folders
 
 

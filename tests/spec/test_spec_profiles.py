@@ -19,7 +19,6 @@ from deepmf_sumo.live import attacker
 from deepmf_sumo.results import artifacts
 from deepmf_sumo.spec import profiles, tasks
 from deepmf_sumo.study import plans
-from deepmf_sumo.study.moments import search
 from deepmf_sumo.study.plans import entries, plan
 
 from tests.support.one_attacker import plan_of
@@ -431,26 +430,27 @@ SAVED = {
     "av_type": ["--av-type", "DEFAULT_VEHTYPE"],
     "junctions": ["--junction", "c"],
     "edges": ["--edge", "sc"],
-    "polygon": ["--polygon", "area.xml"],
+    "sets of moments": ["--set", "source.moments.polygon=area.xml"],
     "at_s": ["--at", 40, "--at", 50],
     "of": ["--moments-of", "earlier"],
-    "prefer": ["--prefer", "spread"],
-    "prefer ": ["--prefer", "encounters"],
+    "sets, spread": ["--set", "source.moments.prefer=spread"],
+    "sets, encounters": ["--set", "source.moments.prefer=encounters"],
     "from_s": ["--from", 20],
     "until_s": ["--until", 90],
-    "duration_s": ["--duration", 30],
-    "opponents": ["--duration", 30, "--opponents", "one"],
-    "tries": ["--tries", 1],
-    "how": ["--draw", "promising"],
-    "all_conflicts": ["--all-conflicts"],
-    "all_conflicts ": ["--all-conflicts", "--set", "adversary.sector=rear"],
+    "sets, longer": ["--set", "duration_s=30"],
+    "sets, one opponent": ["--set", "duration_s=30", "--set", "opponents=one"],
+    "sets, one try": ["--set", "adversary.tries=1"],
+    "sets, promising": ["--set", "source.moments.draw=promising"],
+    "sets, any": ["--set", "profile=any", "--set", "adversary.constraints=[on_road]"],
+    "sets, from the rear": ["--set", "profile=any", "--set", "adversary.sector=rear"],
+    "sets, moments of": ["--set", "source.moments.of=earlier"],
     "planner": ["--planner", "sumo"],
     "seed": ["--seed", 7],
     "sets": ["--set", "adversary=S2", "--set", "adversary.opponent=met"],
     "sets ": ["--set", "profile=lawful", "--set", "planner.perception=corridor"],
     "sets  ": ["--set", "adversary.form=paper"],
     "sets   ": ["--set", "adversary={name: trajectory, agent: b, file: way.json}"],
-    "sets    ": ["--set", "weights=./own", "--set", "turns.longest_s=5", "--duration", 20],
+    "sets    ": ["--set", "weights=./own", "--set", "turns.longest_s=5", "--set", "duration_s=20"],
 }
 
 
@@ -479,42 +479,36 @@ def test_every_option_of_attack_is_tried():
     def shared() -> None: ...
 
     own = {one.name for one in attack_command.command.params} - {one.name for one in shared.params}
-    not_of_a_spec = {"configs", "mapped", "file"}
-    assert own - not_of_a_spec == {name.strip() for name in SAVED} - {"nothing"}
+    not_of_a_spec = {"configs", "file"}
+    tried = {name.strip() for name in SAVED if not name.startswith("sets,")}
+    assert own - not_of_a_spec == tried - {"nothing", "sets of moments"}
 
 
 def test_a_program_says_all_that_the_command_says(tmp_path, monkeypatch):
     (tmp_path / "area.xml").write_text("<additional/>")
     monkeypatch.chdir(tmp_path)
     for options, arguments in (
-        (["--prefer", "spread"], {"prefer": "spread"}),
-        (["--prefer", "encounters"], {"encounters": True}),
+        (["--set", "source.moments.prefer=encounters"], {"prefer": "encounters"}),
         (["--moments-of", "earlier"], {"moments_of": "earlier"}),
         (["--planner", "sumo"], {"planner": "sumo"}),
         (["--set", "planner={name: idm, perception: corridor}"],
          {"planner": {"name": "idm", "perception": "corridor"}}),
-        (["--duration", 30], {"duration_s": 30.0}),
-        (["--duration", 30, "--opponents", "one"], {"duration_s": 30.0, "opponents": "one"}),
-        (["--tries", 1], {"tries": 1}),
-        (["--draw", "promising"], {"draw": "promising"}),
-        (["--all-conflicts"], {"all_conflicts": True}),
-        (["--polygon", "area.xml", "--at", 40], {"polygon": "area.xml", "at_s": [40.0]}),
+        (["--set", "duration_s=30"], {"duration_s": 30.0}),
+        (["--set", "duration_s=30", "--set", "opponents=one"],
+         {"duration_s": 30.0, "opponents": "one"}),
+        (["--set", "adversary.tries=1"], {"tries": 1}),
+        (["--set", "source.moments.draw=promising"], {"draw": "promising"}),
+        (["--set", "source.moments.polygon=area.xml", "--at", 40],
+         {"polygon": "area.xml", "at_s": [40.0]}),
         (["-n", 3, "--seed", 7, "--from", 5, "--until", 90],
          {"moments": 3, "seed": 7, "from_s": 5.0, "until_s": 90.0}),
     ):  # fmt: skip
         [attacked] = of_attack(CONFIG, *options, monkeypatch=monkeypatch, tmp_path=tmp_path)
         assert of_api(monkeypatch, **arguments) == attacked
     names = set(inspect.signature(api.attack).parameters)
-    here = {"count": "moments", "of": "moments_of", "how": "draw", "configs": "configs"}
+    here = {"count": "moments", "of": "moments_of", "configs": "configs"}
     options = {here.get(one.name, one.name) for one in attack_command.command.params}
-    of_the_screen = {"mapped", "file", "gui", "device", "thresholds", "baseline", "formats"}
-    of_sweeps = {"executor", "shard", "minutes", "junit"}
-    assert options - names == of_the_screen | of_sweeps
-
-
-def test_a_program_does_not_prefer_two_things():
-    with pytest.raises(UsageError, match="encounters contradicts prefer='spread'"):
-        api.attack(CONFIG, encounters=True, prefer="spread")
+    assert options - names == {"file", "formats", "shard"}
 
 
 def test_a_wrong_attack_is_not_saved(tmp_path, capsys):
@@ -528,33 +522,20 @@ def test_a_wrong_attack_is_not_saved(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("sets", "told"),
     [
-        ("profile=fair", "--all-conflicts is the profile any, and profile is fair"),
-        ("adversary.constraints=[no_rear_end]", "adversary.constraints has no_rear_end"),
         ("version=2", "attack is short for specs of version 3"),
+        ("source.network=other.sumocfg", "only those of source.moments can be set"),
+        ("source.moments.prefer=most", "key 'source.moments.prefer'"),
+        ("sweep.figures=false", "sweep.figures is not for this command"),
+        ("sweep.timeout=3", "Did you mean 'timeout_s'"),
+        ("sweep.timeout_s=-3", "key 'sweep.timeout_s'"),
+        ("sweep.memory_mb=.nan", "key 'sweep.memory_mb'"),
     ],
 )
-def test_what_contradicts_all_conflicts(tmp_path, capsys, sets, told):
+def test_what_an_attack_cannot_set(tmp_path, capsys, sets, told):
     out = ["--out", str(tmp_path / "out")]
-    assert main.run(["attack", str(CONFIG), "--all-conflicts", "--set", sets, *out]) == 2
+    assert main.run(["attack", str(CONFIG), "--set", sets, *out]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("sets", "expected"),
-    [
-        ([], ("on_road",)),
-        (["adversary.constraints=[]"], ()),
-        (["adversary.constraints=[clean]"], ("clean",)),
-        (["adversary.goal=finding"], ("on_road",)),
-        (["adversary.form=paper"], ()),
-    ],
-)
-def test_all_conflicts_are_on_the_road(sets, expected):
-    [document] = search.documents([CONFIG], {}, sets, all_conflicts=True)
-    found = search.spec_of(document)
-    assert settings_of(found).constraints == expected
-    assert found.profile == ("paper" if "form" in "".join(sets) else "any")
 
 
 # What is said of a run

@@ -124,14 +124,16 @@ def test_the_command_trains_and_writes(monkeypatch, tmp_path):
     file = tmp_path / "recordings.bin"
     file.write_bytes(b"x")
     line = ["diffscene", "--data", str(file), "--out", str(tmp_path / "set"), "--cache",
-            str(tmp_path / "cache"), "--steps", "2", "--batch", "4"]  # fmt: skip
+            str(tmp_path / "cache"), "--set", "steps=2", "--set", "batch=4"]  # fmt: skip
     done = CliRunner().invoke(command, line, catch_exceptions=False)
     assert "diffscene: best step" in done.output
     card = json.loads((tmp_path / "set" / "diffscene.json").read_text())
     assert card["held_out_errors_m"]["vehicles"] > 0
     before = reading.diffusion_prior(tmp_path / "set").basis
     assert before.abs().max() > 0
-    again = [*line[:3], "--out", str(tmp_path / "again"), *line[5:], "--seed", "7"]
-    CliRunner().invoke(command, [*again, "--from", str(tmp_path / "set")], catch_exceptions=False)
+    again = [*line[:3], "--out", str(tmp_path / "again"), *line[5:], "--set", "seed=7"]
+    CliRunner().invoke(
+        command, [*again, "--set", f"begin_from={tmp_path / 'set'}"], catch_exceptions=False
+    )
     after = reading.diffusion_prior(tmp_path / "again").basis
     torch.testing.assert_close(after, before)  # layers that were trained know these components

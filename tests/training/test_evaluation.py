@@ -344,15 +344,16 @@ def test_no_usable_scene_is_an_error(predictors, given):
         evaluate()
 
 
-def test_the_command_shows_tables_and_writes_json(predictors, given, tmp_path):
+def test_the_command_shows_tables_or_json(predictors, given):
     bad = Refusal(file="a.tfrecord", record=7, name="", reason="torn [here]")
     given(*SCENES, attacked(0), bad)
-    file = tmp_path / "new" / "figures.json"
-    found = CliRunner().invoke(command, ["here", "--json", str(file), "--threads", "1"])
+    found = CliRunner().invoke(command, ["here", "--format", "json"])
     assert found.exit_code == 0, found.output
-    written = evaluation.Evaluation.from_record(json.loads(file.read_text(encoding="utf-8")))
+    written = evaluation.Evaluation.from_record(json.loads(found.stdout))
     assert written.scenes == 4
     assert written.figures == evaluate_again(given, *SCENES, attacked(0), bad).figures
+    given(*SCENES, attacked(0), bad)
+    found = CliRunner().invoke(command, ["here"])
     for text in (
         "4 scenes, 1 refused",
         "a.tfrecord, record 7: torn [here]",

@@ -109,7 +109,7 @@ def test_the_command_trains_writes_and_does_not_train_twice(monkeypatch, tmp_pat
     file = tmp_path / "recordings.bin"
     file.write_bytes(b"x")
     line = ["strive", "--data", str(file), "--out", str(tmp_path / "set"), "--cache",
-            str(tmp_path / "cache"), "--steps", "2", "--batch", "4"]  # fmt: skip
+            str(tmp_path / "cache"), "--set", "steps=2", "--set", "batch=4"]  # fmt: skip
     done = CliRunner().invoke(command, line, catch_exceptions=False)
     assert "strive: best step" in done.output
     card = json.loads((tmp_path / "set" / "strive.json").read_text())

@@ -23,7 +23,7 @@ def test_tfrecords_and_scenarionet_folders_are_trained_on_together(tmp_path):
         (folder / f"sd_{number}.pkl").write_bytes(pickle.dumps(described))
     sources = ["--data", f"{shard}=3", "--data", f"{folder}=1"]
     places = ["--out", str(tmp_path / "set"), "--cache", str(tmp_path / "cache")]
-    assert main.run(["train", "opponent", "--steps", "2", *sources, *places]) == 0
+    assert main.run(["train", "opponent", "--set", "steps=2", *sources, *places]) == 0
     _, card = torch_networks.read_network(tmp_path / "set", "opponent")
     assert [(one["name"], one["scenes"], one["share"]) for one in card["data"]] == [
         (shard.name, 3, 0.75),

@@ -209,8 +209,8 @@ def test_data_that_does_not_exist_is_named(tmp_path):
 
 def test_the_command_makes_a_named_set(recordings, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPMF_SUMO_HOME", str(tmp_path / "home"))
-    arguments = ["opponent", "--data", str(recordings), "--name", "mine", "--steps", "1"]
-    found = CliRunner().invoke(command, [*arguments, "--licence", "ours"])
+    arguments = ["opponent", "--data", str(recordings), "--name", "mine", "--set", "steps=1"]
+    found = CliRunner().invoke(command, [*arguments, "--set", "licence=ours"])
     assert found.exit_code == 0, found.output
     card = json.loads(
         (tmp_path / "home" / "weights" / "mine" / "opponent.json").read_text(encoding="utf-8")
@@ -222,11 +222,11 @@ def test_the_command_makes_a_named_set(recordings, tmp_path, monkeypatch):
 
 def test_cuda_that_is_not_there_is_refused(training, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(WeightsError, match="no CUDA device for --device cuda; use cpu or auto"):
+    with pytest.raises(WeightsError, match="no CUDA device for DEEPMF_SUMO_DEVICE=cuda; use"):
         run.train("opponent", replace(training, device="cuda"), print)
     assert torch_networks.device("auto") == "cpu"
     monkeypatch.setenv(weights.DEVICE, "cuda")
-    with pytest.raises(WeightsError, match="no CUDA device for DEEPMF_SUMO_DEVICE cuda"):
+    with pytest.raises(WeightsError, match="no CUDA device for DEEPMF_SUMO_DEVICE=cuda"):
         weights.load("open", "torch")
     monkeypatch.setenv(weights.DEVICE, "gpu")
     with pytest.raises(WeightsError, match="is 'gpu'; set it to cpu, cuda, auto"):

@@ -29,12 +29,12 @@ def device(name: str | None = None) -> Literal["cpu", "cuda"]:
     Raises WeightsError for other names, and for cuda where there is no such device.
     """
     named = name or os.environ.get(weights.DEVICE) or "cpu"
-    place = "--device" if name else weights.DEVICE
+    place = weights.DEVICE
     if named not in weights.DEVICES:
         raise WeightsError(f"{place} is {named!r:.80}; set it to {', '.join(weights.DEVICES)}.")
     there = named != "cpu" and torch.cuda.is_available()
     if named == "cuda" and not there:
-        raise WeightsError(f"There is no CUDA device for {place} cuda; use cpu or auto.")
+        raise WeightsError(f"There is no CUDA device for {place}={named}; use cpu or auto.")
     return "cuda" if there else "cpu"
 
 

@@ -328,7 +328,7 @@ def broken(folder: Path, stem: str, what: str) -> WeightsError:
 
 def _again(folder: Path, stem: str) -> str:
     network, _, number = stem.partition("-")
-    members = f" --members {number}" if number else ""
+    members = f" --set members={number}" if number else ""
     return (
         f"make it with `deepmf-sumo train {network}{members} --data RECORDINGS"
         f" --name {folder.name}`"

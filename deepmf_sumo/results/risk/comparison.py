@@ -39,7 +39,7 @@ def _check(sides: Sides, names: Sequence[Path]) -> None:
         old, new = (" and ".join(f"{one:g}" for one in sorted(side)) for side in lasting)
         raise UsageError(
             f"The attacks of {names[0]} may last {old} s and those of {names[1]} {new} s, so their"
-            " hits cannot be compared; attack one of them again with the other's --duration."
+            " hits cannot be compared; attack one of them again with the other's duration_s."
         )
 
 

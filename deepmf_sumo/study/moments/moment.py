@@ -56,7 +56,8 @@ class Wish:
 
     def named(self, key: str) -> str:
         """The option or the key of a spec behind a field."""
-        return _OPTIONS[key] if self.by_option else f"source.moments.{key}"
+        in_spec = f"source.moments.{key}"
+        return _OPTIONS.get(key, in_spec) if self.by_option else in_spec
 
     @property
     def found(self) -> int:
@@ -75,7 +76,7 @@ class Wish:
 
 
 _OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
-    "from_s": "--from", "junctions": "--junction", "edges": "--edge", "polygon": "--polygon",
+    "from_s": "--from", "junctions": "--junction", "edges": "--edge",
 }  # fmt: skip
 
 

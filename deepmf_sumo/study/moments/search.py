@@ -18,9 +18,9 @@ from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, SimulationError, UsageError
 from deepmf_sumo.results.stored import MOMENTS
 from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, ground_of
-from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document, profiles
+from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document
 from deepmf_sumo.spec.document import Document
-from deepmf_sumo.spec.loading import assign, expand
+from deepmf_sumo.spec.loading import assign
 from deepmf_sumo.spec.tasks import Draw, Task, moment_name, run_id_of, slug
 from deepmf_sumo.study.moments.area import Area, area_of, inside
 from deepmf_sumo.study.moments.choice import choose, turns_of
@@ -262,9 +262,9 @@ def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
 MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
-_OPTIONS: Final = {"count": "--moments", "av_type": "--av-type", "at_s": "--at"} | {
+_OPTIONS: Final = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"} | {
     "junctions": "--junction", "edges": "--edge", "from_s": "--from", "until_s": "--until",
-    "of": "--moments-of",
+    "of": "--moments-of", "seed": "--seed", "planner": "--planner",
 }  # fmt: skip
 
 
@@ -274,7 +274,6 @@ def documents(
     sets: Sequence[str] = (),
     *,
     sumo_options: Sequence[str] = (),
-    all_conflicts: bool = False,
     **wanted: Any,
 ) -> list[Document]:
     """The specs that ``attack`` is short for, one for each configuration.
@@ -286,26 +285,20 @@ def documents(
         keys: of all specs; ``seed`` is the configuration's own where it is not given.
         sets: ``key=value`` over them.
         sumo_options: beside the configurations.
-        all_conflicts: DeepMF's opponents may ram the AV from behind, drive against the traffic, or
-            so that no competent driver could avoid it; off the road they attack nobody.
         wanted: keys of `Moments`; None is not given.
 
-    Raises SimulationError for a configuration that cannot be read, UsageError where
-    ``all_conflicts`` contradicts a key, or SpecError.
+    Raises SimulationError for a configuration that cannot be read, UsageError for a key that the
+    command itself sets, or SpecError.
     """
     if wanted.get("of") and len(configs) > 1:
         raise UsageError(
             f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
             " those of one traffic."
         )
-    found = [
+    return [
         _document(config, name, keys, sets, sumo_options, wanted)
         for config, name in zip(configs, names_of(configs), strict=True)
     ]
-    if all_conflicts:
-        for document in found:
-            _allow_all(document)
-    return found
 
 
 def _document(
@@ -327,44 +320,25 @@ def _document(
     if "seed" not in keys:  # a seed that cannot be used is refused only where it would be used
         keys = {**keys, "seed": read_configuration(config, tuple(sumo_options)).seed}
     values = {"version": 3, "name": name, "source": source, **keys}
-    places: dict[Any, str] = {(key,): f"--{key.removesuffix('_s')}" for key in keys}
-    places |= {("source", "moments", key): _OPTIONS.get(key, f"--{key}") for key in moments}
+    places: dict[Any, str] = {(key,): _OPTIONS.get(key, f"--set {key}") for key in keys}
+    places |= {
+        ("source", "moments", key): _OPTIONS.get(key, f"--set source.moments.{key}")
+        for key in moments
+    }
     document = Document(file=Path("deepmf-sumo attack"), values=values, places=places)
     for assignment in sets:
-        key = assignment.partition("=")[0].strip().partition(".")[0]
-        if key == "source":
-            raise UsageError(f"--set {assignment}: the source is chosen by the other options.")
+        path = assignment.partition("=")[0].strip()
+        key = path.partition(".")[0]
+        if key == "source" and not path.startswith("source.moments."):
+            raise UsageError(
+                f"--set {assignment}: the source is CONFIG with what stands behind --; of its keys"
+                " only those of source.moments can be set."
+            )
         if key == "version":
             raise UsageError(f"--set {assignment}: attack is short for specs of version 3.")
         assign(document, assignment)
         places.setdefault((key,), f"--set {assignment}")
     return document
-
-
-def _allow_all(document: Document) -> None:
-    """Write what ``--all-conflicts`` stands for. Raises UsageError where a key contradicts it."""
-    expand(document)
-    values = document.values
-    if values.setdefault("profile", "any") != "any":
-        raise UsageError(
-            f"--all-conflicts is the profile any, and profile is {values['profile']}: leave one of"
-            " them out."
-        )
-    adversary = values.setdefault("adversary", {"name": "deepmf"})
-    if not isinstance(adversary, dict) or adversary.get("name") != "deepmf":
-        return
-    listed = adversary.get("constraints", ())
-    if isinstance(listed, list | tuple) and _NOT_BEHIND in listed:
-        raise UsageError(
-            f"--all-conflicts allows rams from behind, and adversary.constraints has {_NOT_BEHIND}:"
-            " leave one of them out."
-        )
-    if adversary.get("form") != "paper":
-        allowed = profiles.left_open(profiles.ALL_CONFLICTS, adversary)
-        adversary.setdefault("constraints", allowed)
-
-
-_NOT_BEHIND: Final = "no_rear_end"
 
 
 def spec_of(document: Document) -> Spec:
@@ -378,6 +352,11 @@ def spec_of(document: Document) -> Spec:
 
         weights.find(spec.weights)
         document.values["weights"] = spec.weights
+    if isinstance(spec.source, FromMoments):
+        given = document.values["source"]["moments"]
+        for key in ("polygon", "of"):
+            if given.get(key):
+                given[key] = str(getattr(spec.source.moments, key))
     document.values["profile"] = spec.profile
     return spec
 

@@ -35,7 +35,7 @@ _CLIENT_PORT: Final = 10001
 
 
 def executor_named(text: str = "local", jobs: int | None = None) -> Executor:
-    """The executor of the option ``--executor``: ``local``, ``ray`` or ``ray://host:port``.
+    """The executor of the key ``sweep.executor``: ``local``, ``ray`` or ``ray://host:port``.
 
     Args:
         text: ``ray`` is the cluster that this machine is part of, or a new one of this machine.
@@ -50,7 +50,7 @@ def executor_named(text: str = "local", jobs: int | None = None) -> Executor:
     found = _ADDRESS.fullmatch(text)
     if found is None or int(found[2] or 0) > 65535:
         raise UsageError(
-            f"--executor {text}: must be local, ray, or ray://HOST:PORT, e.g."
+            f"sweep.executor {text}: must be local, ray, or ray://HOST:PORT, e.g."
             f" ray://head.example.org:{_CLIENT_PORT}."
         )
     return Cluster(host=found[1].strip("[]"), port=int(found[2] or _CLIENT_PORT), jobs=jobs)

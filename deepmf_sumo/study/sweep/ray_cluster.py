@@ -432,7 +432,7 @@ def _ray() -> Any:
         return importlib.import_module("ray")
     except ImportError:
         raise PluginError(
-            "--executor ray needs Ray, which is not installed; install deepmf-sumo[cluster]."
+            "sweep.executor=ray needs Ray, which is not installed; install deepmf-sumo[cluster]."
         ) from None
 
 

@@ -310,7 +310,7 @@ def _not_finite(step: int, value: float, rows: NDArray[np.int64], dataset: Datas
     return (
         f"Training stopped at step {step + 1}: {what}; {why}: {', '.join(map(str, of))}, of scenes "
         f"{', '.join(names[:8])}{' and others' if len(names) > 8 else ''}; the last checkpoint"
-        " stays; try a lower --rate, or leave these scenes out."
+        " stays; try a lower rate, or leave these scenes out."
     )
 
 
@@ -336,7 +336,7 @@ def validation_losses(
         if not np.isfinite(total):
             raise RunError(
                 f"The loss on the held-out scenes of {dataset.sources[number].name} is {total}; the"
-                " last checkpoint stays; try a lower --rate, or check these scenes."
+                " last checkpoint stays; try a lower rate, or check these scenes."
             )
         found.append(total / len(rows) if len(rows) else None)
     return found

@@ -65,7 +65,7 @@ def test_a_missing_member_is_named(folder, suffix):
     (folder / f"marginal-2.{suffix}").unlink()
     expected = (
         rf"incomplete: marginal-2\.{suffix} is missing; make it with `deepmf-sumo train marginal"
-        r" --members 2 --data RECORDINGS --name mine`\.$"
+        r" --set members=2 --data RECORDINGS --name mine`\.$"
     )
     with pytest.raises(WeightsError, match=expected):
         weights.load(folder)
@@ -74,7 +74,7 @@ def test_a_missing_member_is_named(folder, suffix):
 def test_a_damaged_member_is_named(folder):
     file = folder / "marginal-2.safetensors"
     file.write_bytes(file.read_bytes()[:3000])
-    with pytest.raises(WeightsError, match=r"marginal-2\.safetensors is damaged.*--members 2"):
+    with pytest.raises(WeightsError, match=r"marginal-2\.safetensors is damaged.*--set members=2"):
         weights.load(folder)
 
 

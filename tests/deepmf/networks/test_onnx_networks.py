@@ -136,8 +136,8 @@ def test_a_runtime_that_does_not_exist_is_named(monkeypatch):
 
 
 def test_training_options_beside_onnx_are_refused(capsys):
-    assert main.run(["train", "onnx", "--name", "open", "--steps", "5"]) == 2
-    assert "--steps is for training; onnx takes --name and --out." in capsys.readouterr().err
+    assert main.run(["train", "onnx", "--name", "open", "--set", "steps=5"]) == 2
+    assert "--set is for training; onnx takes --name and --out." in capsys.readouterr().err
 
 
 @pytest.mark.sumo

@@ -34,7 +34,7 @@ def _used(path: Path, out: Path) -> None:
             refused = True
             continue
         npz.write(scene, out / "scene.npz")
-    runner.command("data", "list", path, "--csv", out / "rows.csv")
+    runner.command("data", "list", path, "--format", "csv")
     if refused:
         raise DeepmfError("a scene was refused")
 

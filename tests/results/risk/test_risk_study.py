@@ -22,7 +22,12 @@ SAMPLES, PAIRS = 60, 120
 def attack(config, out, seed, moments, *more):
     arguments = [str(NETS / config), "--moments", str(moments), "--seed", str(seed), "--out", out]
     arguments += ["--set", "adversary.rule=expected"]  # as studies/notebook/compare.md has it
-    assert main.run(["attack", *map(str, arguments), "--no-pictures", "--no-risk", *more]) == 0
+    assert (
+        main.run(
+            ["attack", *map(str, arguments), "--no-pictures", "--set", "sweep.risk=false", *more]
+        )
+        == 0
+    )
 
 
 def alarms(old, new, wanted):

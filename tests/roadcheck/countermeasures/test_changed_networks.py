@@ -161,12 +161,12 @@ def test_files_that_are_wrong_are_refused(tmp_path, text, told):
 def test_both_sides_are_attacked_at_moments_of_both(tiny, tmp_path, capsys):
     file = tmp_path / "slower.yaml"
     file.write_text("version: 1\nchanges: [{edge: ab, limit_mps: 13.5}]\n")
-    arguments = ["try", tiny / "tiny.sumocfg", "--change", file, "-n", 2, "--duration", 1]
+    arguments = ["try", tiny / "tiny.sumocfg", "--change", file, "-n", 2, "--set", "duration_s=1"]
     arguments += ["--no-pictures", "--set", "adversary=none", "--out", tmp_path / "out"]
     arguments = list(map(str, arguments))
     assert main.run([*arguments, "-n", "1"]) == 2
     assert "--moments 1: it takes two" in capsys.readouterr().err
-    assert main.run([*arguments, "--max-minutes", "0.0001"]) == 130
+    assert main.run([*arguments, "--set", "sweep.max_minutes=0.0001"]) == 130
     assert not (tmp_path / "out" / "compared").exists()
     assert main.run([*arguments, "--overwrite"]) == 0
     said = capsys.readouterr().out

@@ -36,8 +36,8 @@ def rows(file):
 @pytest.mark.sumo
 def test_attack_is_short_for_a_spec_with_moments(tiny, tmp_path, capsys):
     config, file = tiny / "tiny.sumocfg", tmp_path / "attack.yaml"
-    attack = ["attack", config, "-n", 1, "--duration", 0.5]
-    attack += ["--planner", "sumo", "--no-pictures", "--no-risk"]
+    attack = ["attack", config, "-n", 1, "--set", "duration_s=0.5"]
+    attack += ["--planner", "sumo", "--no-pictures", "--set", "sweep.risk=false"]
     assert call(*attack, "--out", tmp_path / "a", "--", "--scale", 1) == 0
     assert call(*attack, "--save-spec", file, "--out", tmp_path / "no", "--", "--scale", 1) == 0
     assert not (tmp_path / "no").exists()
@@ -75,7 +75,7 @@ def test_a_plan_has_moments(tiny, tmp_path, capsys):
     file = tiny / "moments.yaml"
     file.write_text(PLAN)
     out = tmp_path / "out"
-    assert call("run", file, "--no-figures", "--out", out) == 0
+    assert call("run", file, "--out", out) == 0
     assert "4 runs: 4 ok" in capsys.readouterr().out
     table = rows(out / "runs.csv")
     assert [row["method"] for row in table] == ["none", "none", "again", "again"]
@@ -84,8 +84,8 @@ def test_a_plan_has_moments(tiny, tmp_path, capsys):
     assert [row["scenes"] for row in rows(out / "table.csv")] == ["2", "2"]
     for part in (1, 2):
         shard = ("--shard", f"{part}/2", "--out", tmp_path / str(part))
-        assert call("run", file, "--no-figures", *shard) == 0
-    merged = ("merge", tmp_path / "all", tmp_path / "1", tmp_path / "2", "--no-figures")
+        assert call("run", file, "--set", "sweep.figures=false", *shard) == 0
+    merged = ("merge", tmp_path / "all", tmp_path / "1", tmp_path / "2")
     assert call(*merged) == 0
     assert differences(out, tmp_path / "all") == []
 

@@ -18,10 +18,11 @@ NETWORKS = Path(__file__).resolve().parents[3] / "sumo_nets"
 
 ATTACKS = {
     "fair": ("four_way", ["-n", 3], {"moments": 3}),
-    "all conflicts": ("arterial", ["-n", 2, "--all-conflicts"],
-                      {"moments": 2, "all_conflicts": True}),
-    "in turn": ("roundabout", ["-n", 1, "--duration", 18], {"moments": 1, "duration_s": 18.0}),
-    "lawful": ("highway", ["-n", 2, "--set", "profile=lawful", "--prefer", "encounters"],
+    "any": ("arterial", ["-n", 2, "--set", "profile=any"], {"moments": 2, "profile": "any"}),
+    "in turn": ("roundabout", ["-n", 1, "--set", "duration_s=18"],
+                {"moments": 1, "duration_s": 18.0}),
+    "lawful": ("highway", ["-n", 2, "--set", "profile=lawful",
+                           "--set", "source.moments.prefer=encounters"],
                {"moments": 2, "profile": "lawful", "prefer": "encounters"}),
 }  # fmt: skip
 
@@ -37,7 +38,7 @@ def test_attack_and_its_spec_and_a_program_plan_alike(tmp_path, case):
     network, options, arguments = ATTACKS[case]
     config, file = NETWORKS / network / f"{network}.sumocfg", tmp_path / "saved.yaml"
     attack = ["attack", config, *options, "--seed", 2, "--until", 150]
-    assert call(*attack, "--no-pictures", "--no-risk", "--out", tmp_path / "a") == 0
+    assert call(*attack, "--no-pictures", "--set", "sweep.risk=false", "--out", tmp_path / "a") == 0
     assert call(*attack, "--save-spec", file) == 0
     assert call("run", file, "--no-pictures", "--out", tmp_path / "b") == 0
     deepmf_sumo.attack(config, tmp_path / "c", seed=2, until_s=150.0, **arguments)

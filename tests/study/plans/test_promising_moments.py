@@ -71,7 +71,7 @@ def test_workers_and_interruptions_change_nothing(tiny, tmp_path):
 def test_a_budget_that_ends_in_the_middle_keeps_what_it_has(tiny, tmp_path, capsys):
     file, out = tiny_network.spec(tiny, "short", source=SOURCE, **EVERY), tmp_path / "out"
     arguments = ["run", str(file), "--no-pictures", "--out", str(out)]
-    assert main.run([*arguments, "--max-minutes", "0.00001"]) == 130
+    assert main.run([*arguments, "--set", "sweep.max_minutes=0.00001"]) == 130
     assert "4 runs not begun: --resume goes on" in capsys.readouterr().out
     assert main.run([*arguments, "--resume"]) == 0
     assert len(rows(out / "runs.csv")) == 4

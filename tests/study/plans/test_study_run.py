@@ -142,7 +142,7 @@ def test_nothing_is_lost_or_doubled_by_kills(whole, tmp_path):
     out = tmp_path / "out"
     command = [
         sys.executable, "-m", "deepmf_sumo.cli.main", "run", file, "--out", out, "--resume",
-        "--no-figures", "--jobs", "2",
+        "--set", "sweep.figures=false", "--jobs", "2",
     ]  # fmt: skip
     finished: set[str] = set()
     for number in range(KILLS):
@@ -279,7 +279,7 @@ def test_a_signal_ends_the_workers_too(whole, tmp_path):
     file, _ = whole
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [*COMMAND, file, "--out", out, "--no-figures"],
+        [*COMMAND, file, "--out", out, "--set", "sweep.figures=false"],
         stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     _wait_for_runs(process, out, 0)

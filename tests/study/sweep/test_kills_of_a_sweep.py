@@ -33,7 +33,7 @@ def command(tiny, tmp_path_factory):
     os.environ["DEEPMF_SUMO_HOME"] = str(tmp_path_factory.mktemp("home"))
     plan = tiny_plan.write(tiny, f"{tiny_plan.PLAN}seeds: {SEEDS}\n", "kills.yaml")
     return [
-        sys.executable, "-m", "deepmf_sumo.cli.main", "run", plan, "--no-figures",
+        sys.executable, "-m", "deepmf_sumo.cli.main", "run", plan, "--set", "sweep.figures=false",
         "--jobs", "2", "--resume", "--out",
     ]  # fmt: skip
 

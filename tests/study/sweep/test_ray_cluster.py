@@ -201,7 +201,7 @@ def test_a_head_that_wants_a_token_gets_that_of_this_machine(tiny, tmp_path):
     def call(home):
         command = [sys.executable, "-m", "deepmf_sumo.cli.main", "run", path, "--no-pictures"]
         return subprocess.run(
-            [*command, "--out", home / "out", "--executor", machines.name],
+            [*command, "--out", home / "out", "--set", f"sweep.executor={machines.name}"],
             env={**free, "HOME": str(home)}, capture_output=True, text=True, check=False,
         )  # fmt: skip
 

@@ -133,7 +133,17 @@ def test_same_seed_same_scenes_and_another_seed_others(config, scenes):
 
 def test_command_writes_files_that_can_be_read(config, tmp_path):
     out = tmp_path / "scenes"
-    arguments = [str(config), "--out", str(out), "--scenes", "2", "--seed", "4", "--start", "30"]
+    arguments = [
+        str(config),
+        "--out",
+        str(out),
+        "--scenes",
+        "2",
+        "--seed",
+        "4",
+        "--set",
+        "start_s=30",
+    ]
     result = CliRunner().invoke(command, arguments)
     assert result.exit_code == 0, result.output
     assert "2 scenes" in result.output

@@ -93,7 +93,9 @@ def test_demand_that_sumo_drops_or_changes_is_told(tmp_path, capsys):
     assert set(kinds) <= set(words)
     assert any("'early'" in one for one in kinds)
     command = ["attack", str(config), "--moments", "1", "--set", "adversary=none"]
-    main.run([*command, "--no-pictures", "--no-risk", "--out", str(tmp_path / "out")])
+    main.run(
+        [*command, "--no-pictures", "--set", "sweep.risk=false", "--out", str(tmp_path / "out")]
+    )
     assert "'early'" in " ".join(capsys.readouterr().err.split())
 
 

@@ -1,14 +1,15 @@
-"""`benchmark`, `merge` and `reproduce` as they are called."""
+"""Plans and `merge` as they are called."""
 
 import pytest
 from click.testing import CliRunner
 
-from deepmf_sumo.cli import merge
-from deepmf_sumo.cli._old_names import COMMANDS
+from deepmf_sumo.cli import merge, run
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.study.sweep import workers
 
 from tests.support import tiny_plan
+
+NO_FIGURES = ("--set", "sweep.figures=false")
 
 
 def call(command, *arguments):
@@ -19,9 +20,7 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
     plan = tiny_plan.write(tiny)
     for number in (1, 2):
         out = tmp_path / str(number)
-        done = call(
-            COMMANDS["benchmark"], plan, "--out", out, "--shard", f"{number}/2", "--no-figures"
-        )
+        done = call(run.command, plan, "--out", out, "--shard", f"{number}/2", *NO_FIGURES)
         assert done.exit_code == 0, done.output
         assert "4 runs: 4 ok" in done.output
     out = tmp_path / "all"
@@ -32,14 +31,14 @@ def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
     text = (out / "table.md").read_text()
     assert "Table II." in text
     assert (out / "figures" / "index.md").is_file()
-    done = call(merge.command, tmp_path / "half", tmp_path / "2", "--no-figures")
+    done = call(merge.command, tmp_path / "half", tmp_path / "2")
     assert done.exit_code == 130
     assert "4 not begun: --resume does them" in done.output
 
 
 def test_a_plan_of_one_method_has_tables_too(tiny, tmp_path):
     done = call(
-        COMMANDS["benchmark"], tiny_plan.write(tiny), "--out", tmp_path / "one", "--no-figures",
+        run.command, tiny_plan.write(tiny), "--out", tmp_path / "one", *NO_FIGURES,
         "--set", "methods={none: none}", "--set", "tables={}",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -53,15 +52,9 @@ def test_wrong_calls_run_nothing(tiny, tmp_path, monkeypatch):
     out = tmp_path / "out"
     for wrong in (["--shard", "9/2"], ["--without", "nobody"], ["--set", "methods={}"]):
         with pytest.raises(UsageError):
-            call(COMMANDS["benchmark"], plan, "--out", out, *wrong)
+            call(run.command, plan, "--out", out, *wrong)
     with pytest.raises(UsageError, match="this shard of them is empty"):
-        call(COMMANDS["benchmark"], plan, "--out", out, "--shard", "9/9")
+        call(run.command, plan, "--out", out, "--shard", "9/9")
     with pytest.raises(SpecError, match="holds no recorded scene"):
-        call(COMMANDS["reproduce"], tmp_path, "--out", out)
+        call(run.command, "paper", "--set", f"source.recording={tmp_path}", "--out", out)
     assert not out.exists()
-
-
-def test_help_names_what_a_user_needs():
-    shown = call(COMMANDS["benchmark"], "--help").output
-    for option in ("--resume", "--shard", "--max-minutes", "--timeout", "--memory", "--without"):
-        assert option in shown
