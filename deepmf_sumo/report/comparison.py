@@ -13,91 +13,87 @@ import pandas as pd
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.judge.avoidability.grading import GRADES
 from deepmf_sumo.judge.ladder import RUNGS
-from deepmf_sumo.results import findings, statistics
+from deepmf_sumo.results import findings, frames, statistics
 from deepmf_sumo.results.findings import APART, NAMES
-from deepmf_sumo.results.quantities import BY_NAME
+from deepmf_sumo.results.quantities import AVERAGED, BY_NAME
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.spec.profiles import described
 
-MEANS: Final = {
-    "opponent_rms_acceleration": "rms_a_mps2",
-    "feasible": "feasible",
-    "on_road": "on_road",
-    "candidate_perplexity": "perplexity",
-    "colliding_plans": "colliding_plans",
-    "predicted_contact": "predicted_rate",
-    "av_ade": "av_ade_m",
-}
-"""Metrics of ``result.json`` that are averaged over all runs, and their columns."""
 _APART: Final = (
     "spec", "planner", "perception", "method", "planner_label", "part", "profile", "constraints",
 )  # fmt: skip
-"""Columns of ``runs.csv`` whose values are never mixed."""
+"""Columns whose values are never mixed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Group:
-    """The runs of one spec in a result folder, and of a benchmark of one method and planner."""
+class RunGroup:
+    """The runs of one spec in a result folder, and of a benchmark of one method and planner.
+
+    Attributes:
+        runs: in the order of ``table``, their frame.
+    """
 
     folder: Path
     runs: tuple[Run, ...]
+    table: pd.DataFrame
 
     @cached_property
-    def ok(self) -> list[Run]:
+    def ok(self) -> pd.DataFrame:
         """The successful runs."""
-        return [run for run in self.runs if run.status == "ok"]
+        return self.table[self.table["status"] == "ok"]
 
     @cached_property
-    def attacked(self) -> list[Run]:
+    def attacked(self) -> pd.DataFrame:
         """Of these those in which a vehicle was attacked."""
-        return [run for run in self.ok if run.row["opponent"]]
+        return self.table[self.table["attacked"]]
 
     @cached_property
-    def hits(self) -> list[Run]:
+    def hits(self) -> pd.DataFrame:
         """The runs in which the opponent hit the AV."""
-        return [run for run in self.ok if run.hit]
+        return self.table[self.table["hit"]]
+
+    def runs_of(self, part: pd.DataFrame) -> list[Run]:
+        """The runs of rows of ``table``."""
+        return [self.runs[place] for place in self.table.index.get_indexer(part.index)]
 
     @property
     def rate(self) -> statistics.Interval:
         """Of hits, of the attacked runs; ValueError without any."""
-        return statistics.rate(
-            statistics.by_unit(
-                ((run.row["spec"], run.scene), float(run.hit)) for run in self.attacked
-            )
-        )
+        return frames.rate(self.attacked, "hit")
 
     @cached_property
     def worth(self) -> findings.Count:
         """What the hits are worth."""
-        return findings.count(run.worth for run in self.hits)
+        return findings.count(run.worth for run in self.runs_of(self.hits))
 
     @cached_property
     def tries(self) -> list[list[str]]:
         """Of each run that looked for a finding what its tries were."""
-        return [found for run in self.attacked if (found := run.tries)]
+        return [found for run in self.runs_of(self.attacked) if (found := run.tries)]
 
     @property
     def fair_hits(self) -> int:
         """Hits of an opponent within a car's limits, and on the road at >= 95 % of its steps."""
-        return sum(
-            (run.metric("on_road") or 0.0) >= 0.95 and (run.metric("feasible") or 0.0) >= 1
-            for run in self.hits
-        )
+        return int(((self.hits["on_road"] >= 0.95) & (self.hits["feasible"] >= 1)).sum())
 
     def touched(self, kind: str) -> int:
         """Runs with a contact of a kind, e.g. ``av_other``."""
-        return sum(any(one["kind"] == kind for one in run.contacts) for run in self.ok)
+        contacts = self._contacts
+        return int(contacts.loc[contacts["kind"] == kind, "run_id"].nunique())
+
+    @cached_property
+    def _contacts(self) -> pd.DataFrame:
+        return Results(folders=(self.folder,), runs=self.runs).frame("contacts")
 
     @property
     def about(self) -> dict[str, str]:
         """Spec, method and part of a benchmark, planner and attack; empty what says no more."""
-        planner = self.text("planner_label") or self._joined("planner", "perception")
         spec, method, part = map(self.text, ("spec", "method", "part"))
         return {
             "spec": spec,
             "method": method if method != spec else "",
             "part of the plan": part if part != "main" else "",
-            "planner": planner,
+            "planner": self.text("planner_label"),
             "attack": self._joined("adversary", "version") + self._form(),
             "profile": described(self.text("profile"), self.text("constraints").split()),
         }
@@ -113,10 +109,10 @@ class Group:
 
     def text(self, name: str) -> str:
         """A column's text, of the first run; empty where there is none."""
-        return self.runs[0].row.get(name, "")
+        return self.table[name].iloc[0] or ""
 
 
-def groups(folders: Sequence[Path]) -> list[Group]:
+def groups(folders: Sequence[Path]) -> list[RunGroup]:
     """The runs of each folder by spec, method, planner and part of the plan, in their order.
 
     Raises UsageError for a folder without ``runs.csv``, and where that or a ``result.json`` is
@@ -124,16 +120,23 @@ def groups(folders: Sequence[Path]) -> list[Group]:
     """
     found = []
     for folder in Results.open(*folders).folders:
-        apart: dict[tuple[str, ...], list[Run]] = {}
-        for run in Results.of(folder).runs:
-            if run.has_result:
-                run.result  # noqa: B018 - read now, so that a damaged one is refused
-            apart.setdefault(tuple(run.row.get(name, "") for name in _APART), []).append(run)
-        found += [Group(folder=folder, runs=tuple(runs)) for runs in apart.values()]
+        results = Results.of(folder)
+        table = results.frame()
+        apart: dict[tuple[str | None, ...], list[int]] = {}
+        for place, key in enumerate(zip(*(table[name] for name in _APART), strict=True)):
+            apart.setdefault(key, []).append(place)
+        found += [
+            RunGroup(
+                folder=folder,
+                runs=tuple(results.runs[place] for place in places),
+                table=table.iloc[places],
+            )
+            for places in apart.values()
+        ]
     return found
 
 
-def compare(found: Sequence[Group]) -> pd.DataFrame:
+def compare(found: Sequence[RunGroup]) -> pd.DataFrame:
     """One row per group, in the order given.
 
     Columns: folder, spec, method, planner, perception, version, runs (successful), attacked (those
@@ -141,7 +144,7 @@ def compare(found: Sequence[Group]) -> pd.DataFrame:
     relative speed (means over hits), ``third_party`` (runs in which the opponent hit another
     vehicle before or instead), ``av_other`` (runs in which the AV hit another vehicle),
     ``on_road_hits`` (hits within the limits and with the opponent on the road at >= 95 % of its
-    steps), means of the metrics in `MEANS`, generation time per run and the median of a cycle.
+    steps), means of the metrics in `AVERAGED`, generation time per run and the median of a cycle.
     """
     names = _names(group.folder for group in found)
     return pd.DataFrame([_row(group, names[group.folder]) for group in found])
@@ -161,7 +164,7 @@ def _names(folders: Iterable[Path]) -> dict[Path, str]:
     return names
 
 
-def _row(group: Group, name: str) -> dict[str, Any]:
+def _row(group: RunGroup, name: str) -> dict[str, Any]:
     row: dict[str, Any] = {
         "folder": name,
         **{
@@ -173,18 +176,18 @@ def _row(group: Group, name: str) -> dict[str, Any]:
         "attacked": len(group.attacked),
         "hits": len(group.hits),
     }
-    if group.attacked:
+    if len(group.attacked):
         row |= group.rate._asdict()
-    if group.ok:
+    if len(group.ok):
         row |= {
-            "time_s": _middle(_column(group.hits, "contact_time_s")),
-            "speed_mps": _middle(_column(group.hits, "contact_speed_mps")),
+            "time_s": _middle(_values(group.hits, "contact_time_s")),
+            "speed_mps": _middle(_values(group.hits, "contact_speed_mps")),
             "third_party": group.touched("opponent_other"),
             "av_other": group.touched("av_other"),
             "on_road_hits": group.fair_hits,
-            **{column: _middle(_values(group.ok, name)) for name, column in MEANS.items()},
-            "generation_s": _middle(_column(group.ok, "generation_s")),
-            "cycle_ms": _middle(_column(group.ok, "cycle_ms_median"), median),
+            **{column: _middle(_values(group.ok, name)) for name, column in AVERAGED.items()},
+            "generation_s": _middle(_values(group.ok, "generation_s")),
+            "cycle_ms": _middle(_values(group.ok, "cycle_ms_median"), median),
         }
     return row
 
@@ -193,11 +196,6 @@ def _middle(
     values: Sequence[float], of: Callable[[Sequence[float]], float] = fmean
 ) -> float | None:
     return of(values) if values else None
-
-
-def _column(runs: Sequence[Run], name: str) -> list[float]:
-    """Numbers of a column of ``runs.csv``, of the runs that have one."""
-    return [value for run in runs if (value := run.number(name)) is not None]
 
 
 NONE: Final = "-"
@@ -244,7 +242,7 @@ class SideBySide:
         return tuple(line for line in self.key if line.short)
 
 
-def side_by_side(groups: Sequence[Group], *, everything: bool = False) -> SideBySide:
+def side_by_side(groups: Sequence[RunGroup], *, everything: bool = False) -> SideBySide:
     """Put groups side by side; ``everything`` adds all metrics of ``result.json``."""
     names = [str(group.folder) for group in groups]
     units = _units(groups) if everything else {}
@@ -258,7 +256,7 @@ def side_by_side(groups: Sequence[Group], *, everything: bool = False) -> SideBy
     )
 
 
-def _about(groups: Sequence[Group]) -> tuple[Line, ...]:
+def _about(groups: Sequence[RunGroup]) -> tuple[Line, ...]:
     about = [group.about for group in groups]
     names = dict.fromkeys(name for one in about for name, text in one.items() if text)
     return tuple(
@@ -267,8 +265,8 @@ def _about(groups: Sequence[Group]) -> tuple[Line, ...]:
     )
 
 
-def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
-    lines: list[tuple[str, str, Callable[[Group], str]]] = [
+def _key(groups: Sequence[RunGroup]) -> tuple[Line, ...]:
+    lines: list[Told] = [
         ("runs that succeeded", "runs", _succeeded),
         ("runs in which a vehicle was attacked", "attacked", lambda one: str(len(one.attacked))),
         ("AV hit by the opponent, runs", "hits", lambda one: str(len(one.hits))),
@@ -278,36 +276,16 @@ def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
         ("  of these drivable and on the road", "", _fair),
         ("AV hit another vehicle, runs", "", lambda one: str(one.touched("av_other"))),
         ("opponent hit another vehicle, runs", "", lambda one: str(one.touched("opponent_other"))),
-        ("time to the hit, mean, s", "", lambda one: _of_runs(one.hits, "contact_time_s", 1)),
-        (
-            "relative speed at the hit, mean, m/s",
-            BY_NAME["collision_speed_mps"].heading,
-            lambda one: _of_runs(one.hits, "contact_speed_mps", 1),
-        ),
-        (
-            "change of the AV's velocity (delta-v), mean, m/s",
-            "delta-v, m/s",
-            lambda one: _mean(one.hits, "delta_v", 1),
-        ),
-        (
-            "least TTC, mean, s",
-            BY_NAME["ttc_min_s"].heading,
-            lambda one: _mean(one.attacked, "ttc_min", 1),
-        ),
-        (
-            "least gap of AV and opponent, mean, m",
-            BY_NAME["min_gap_m"].heading,
-            lambda one: _mean(one.attacked, "min_gap", 1),
-        ),
-        (
-            "computing time of the attack, mean, s",
-            "",
-            lambda one: _of_runs(one.ok, "generation_s", 2),
-        ),
+        _mean_of("collision_time_s", lambda one: one.hits, "contact_time_s"),
+        _mean_of("collision_speed_mps", lambda one: one.hits, "contact_speed_mps", _SPEED),
+        _mean_of("delta_v_mps", lambda one: one.hits, "delta_v", "delta-v, m/s"),
+        _mean_of("ttc_min_s", lambda one: one.attacked, "ttc_min", _TTC),
+        _mean_of("min_gap_m", lambda one: one.attacked, "min_gap", _GAP),
+        _mean_of("generation_time_s", lambda one: one.ok, "generation_s"),
     ]
-    if any(episodes > 1 for group in groups for episodes in _column(group.ok, "simulations")):
+    if any(episodes > 1 for group in groups for episodes in _values(group.ok, "simulations")):
         lines.append(
-            ("simulated episodes, mean", "episodes", lambda one: _of_runs(one.ok, "simulations", 1))
+            ("simulated episodes, mean", "episodes", lambda one: _mean(one.ok, "simulations", 1))
         )
     if any(group.tries for group in groups):
         lines.append(("tries for a finding: misses, hits by rung", "", _tries))
@@ -317,7 +295,23 @@ def _key(groups: Sequence[Group]) -> tuple[Line, ...]:
     )
 
 
-def _tries(group: Group) -> str:
+_SPEED, _TTC, _GAP = (
+    BY_NAME[name].heading for name in ("collision_speed_mps", "ttc_min_s", "min_gap_m")
+)
+Told = tuple[str, str, Callable[[RunGroup], str]]
+"""Label, short label, and the cell of a group."""
+
+
+def _mean_of(
+    name: str, part: Callable[[RunGroup], pd.DataFrame], column: str, short: str = ""
+) -> Told:
+    """The line of a quantity, as the mean of a column of some runs."""
+    quantity = BY_NAME[name]
+    label = f"{quantity.words}, mean, {quantity.unit}"
+    return label, short, lambda group: _mean(part(group), column, quantity.shown_digits)
+
+
+def _tries(group: RunGroup) -> str:
     """Of one run each in turn, of several their numbers."""
     if len(group.tries) == 1:
         return findings.tried(group.tries[0])
@@ -325,20 +319,20 @@ def _tries(group: Group) -> str:
     return ", ".join(f"{one} {number[one]}" for one in ("miss", *RUNGS) if number[one])
 
 
-def _succeeded(group: Group) -> str:
-    others = Counter(run.status for run in group.runs if run.status != "ok")
+def _succeeded(group: RunGroup) -> str:
+    others = Counter(one for one in group.table["status"] if one != "ok")
     counts = "".join(f", {count} {status}" for status, count in sorted(others.items()))
     return f"{len(group.ok)} of {len(group.runs)}{counts}"
 
 
-def _rate(group: Group) -> str:
-    if not group.attacked:
+def _rate(group: RunGroup) -> str:
+    if group.attacked.empty:
         return NONE
     found = group.rate
     return f"{100 * found.rate:.0f} % ({100 * found.low:.0f} to {100 * found.high:.0f})"
 
 
-def _findings(group: Group) -> str:
+def _findings(group: RunGroup) -> str:
     """How many of the hits that were judged; with the kinds, where the ladder judged them."""
     found = group.worth
     if not found.hits:
@@ -351,7 +345,7 @@ def _findings(group: Group) -> str:
     return f"{found.findings} of {found.judged}" + (f" ({kinds})" if kinds else "")
 
 
-def _apart(group: Group) -> str:
+def _apart(group: RunGroup) -> str:
     """Hits that are no findings, by kind."""
     found = group.worth
     if not found.hits or found.valid + found.others:
@@ -359,16 +353,12 @@ def _apart(group: Group) -> str:
     return ", ".join(f"{found.rungs[rung]} {NAMES[rung]}" for rung in APART)
 
 
-def _fair(group: Group) -> str:
-    return f"{group.fair_hits} of {len(group.hits)}" if group.hits else NONE
+def _fair(group: RunGroup) -> str:
+    return f"{group.fair_hits} of {len(group.hits)}" if len(group.hits) else NONE
 
 
-def _of_runs(runs: Sequence[Run], column: str, digits: int) -> str:
-    return _average(_column(runs, column), len(runs), digits)
-
-
-def _mean(runs: Sequence[Run], name: str, digits: int | None) -> str:
-    return _average(_values(runs, name), len(runs), digits)
+def _mean(runs: pd.DataFrame, column: str, digits: int | None) -> str:
+    return _average(_values(runs, column), len(runs), digits)
 
 
 def _average(values: Sequence[float], runs: int, digits: int | None) -> str:
@@ -380,23 +370,23 @@ def _average(values: Sequence[float], runs: int, digits: int | None) -> str:
     return text if len(values) == runs else f"{text} ({len(values)} of {runs})"
 
 
-def _values(runs: Sequence[Run], name: str) -> list[float]:
-    """A metric of the runs that have one."""
-    return [value for run in runs if (value := run.metric(name)) is not None]
+def _values(runs: pd.DataFrame, column: str) -> list[float]:
+    """Of the runs that have one; of a metric that only other runs have, none."""
+    return [float(one) for one in runs[column].dropna()] if column in runs else []
 
 
-def _units(groups: Sequence[Group]) -> dict[str, str]:
+def _units(groups: Sequence[RunGroup]) -> dict[str, str]:
     """Of all metrics that the key quantities leave out, by name."""
     units = {
         name: metric["unit"]
         for group in groups
-        for run in group.attacked
+        for run in group.runs_of(group.attacked)
         for name, metric in run.metrics.items()
     }
     return {name: units[name] for name in sorted(units.keys() - _SHOWN - _ANGLES)}
 
 
-def _metrics(groups: Sequence[Group], units: Mapping[str, str]) -> tuple[Line, ...]:
+def _metrics(groups: Sequence[RunGroup], units: Mapping[str, str]) -> tuple[Line, ...]:
     """One line per metric of which some run has a value."""
     lines = (
         Line(
@@ -409,7 +399,7 @@ def _metrics(groups: Sequence[Group], units: Mapping[str, str]) -> tuple[Line, .
     return tuple(line for line in lines if set(line.cells) != {NONE})
 
 
-def _cell(group: Group, name: str) -> str:
+def _cell(group: RunGroup, name: str) -> str:
     if name not in _NAMES:
         return _mean(group.attacked, name, None)
     words = [_NAMES[name][int(value)].replace("_", " ") for value in _values(group.attacked, name)]
@@ -417,7 +407,7 @@ def _cell(group: Group, name: str) -> str:
 
 
 def _missing(
-    groups: Sequence[Group], names: Sequence[str], labels: Mapping[str, str]
+    groups: Sequence[RunGroup], names: Sequence[str], labels: Mapping[str, str]
 ) -> tuple[str, ...]:
     """Why there is no value, in how many runs and of which quantities; one sentence per reason.
 
@@ -443,10 +433,10 @@ def _missing(
     return tuple(sentence for _, sentence in sorted(sentences))
 
 
-def _reasons(group: Group, labels: Mapping[str, str]) -> Counter[tuple[str, str]]:
+def _reasons(group: RunGroup, labels: Mapping[str, str]) -> Counter[tuple[str, str]]:
     """Attacked runs without a value, by reason and metric."""
     found: Counter[tuple[str, str]] = Counter()
-    for run in group.attacked:
+    for run in group.runs_of(group.attacked):
         for name in labels:
             given = run.metrics.get(name)
             if given and given["value"] is None:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import UsageError, nearest
-from deepmf_sumo.results import findings, quantities, statistics
+from deepmf_sumo.results import findings, statistics
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.reader import HIT, Results, Run
 from deepmf_sumo.results.result import COLUMNS, Result, attacked
@@ -56,6 +56,7 @@ def run_row(run: Run) -> dict[str, Any]:
     """The row of a run, by column; None where there is no value. Raises UsageError."""
     result = run.result if run.has_result else None
     done = result is not None and run.status == "ok"
+    has_opponent = run.status == "ok" and bool(run.row["opponent"])
     return {
         **_about(run),
         **{name: _value(run, name) for name in COLUMNS if name not in _RUN},
@@ -65,10 +66,10 @@ def run_row(run: Run) -> dict[str, Any]:
         "setup": digest_of(setup_of(result)) if result else "",
         "source": result["inputs"].get("source", "")[:16] if result else "",
         "ended": result.get("ended") if result else None,
-        "attacked": done and attacked(result) if result else False,
-        "judged": done and quantities.judged(result) if result else False,
-        "hit": done and run.hit,
-        "worth": findings.said(run.worth) if done and run.hit else None,
+        "attacked": has_opponent,
+        "judged": has_opponent or (run.status == "ok" and run.adversary == "none"),
+        "hit": run.status == "ok" and run.hit,
+        "worth": findings.said(run.worth) if run.status == "ok" and run.hit else None,
         "wall_s": float(result["timings"]["wall_s"]) if result else None,
         "expectations_broken": tuple(result["expectations_broken"]) if result else (),
         **(run.values if done else {}),

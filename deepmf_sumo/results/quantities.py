@@ -64,6 +64,7 @@ class Quantity:
         title: heading in readable tables, without unit. short: heading on the screen, with unit.
             digits: after the decimal point, there; of rates in per cent.
         label: heading in the table of runs on a page, without unit; empty: it has no column there.
+        words: what `show` calls it. shown_digits: there, after the decimal point.
     """
 
     name: str
@@ -85,6 +86,8 @@ class Quantity:
     short: str = ""
     digits: int = 2
     label: str = ""
+    words: str = ""
+    shown_digits: int = 1
 
     @property
     def heading(self) -> str:
@@ -303,9 +306,10 @@ QUANTITIES: Final = (
         title="Coll Rate", rule_out=RATE,
     ),
     _mean("collision_time_s", "s", "lower", "collision_time_s", _HITS,
-          title="Coll Time", short="time s", label="contact"),
+          title="Coll Time", short="time s", label="contact", words="time to the hit"),
     _mean("collision_speed_mps", "m/s", "higher", "collision_speed", _HITS,
-          title="Coll Vel", short="speed m/s", label="speed", of_hits=True, **_SPEED),
+          title="Coll Vel", short="speed m/s", label="speed", of_hits=True,
+          words="relative speed at the hit", **_SPEED),
     _mean("kl", "nat", "lower", "acceleration_kl", _RUNS, title="KL", short="KL"),
     _mean("wasserstein", "m/s2", "lower", "acceleration_wasserstein", _RUNS,
           title="Wasserstein", short="W m/s2"),
@@ -314,6 +318,7 @@ QUANTITIES: Final = (
           title="Hausdorff", short="Hausd. m"),
     Quantity(
         name="generation_time_s", unit="s", better="lower", title="Generate Time", short="gen. s",
+        words="computing time of the attack", shown_digits=2,
         value=lambda result: result["timings"].get("generation_s"),
         definition="mean wall time of finding an attack: features, networks, candidates, and the"
         " simulations that a search scores them by; without loading weights",
@@ -366,12 +371,12 @@ QUANTITIES: Final = (
         "share of the attacked runs with a value above 0", "red_light",
     ),
     _mean("delta_v_mps", "m/s", "higher", "delta_v", _HITS, label="Δv", of_hits=True,
-          rule_out=1.5, largest=10.0),
+          rule_out=1.5, largest=10.0, words="change of the AV's velocity (delta-v)"),
     _mean("rms_acceleration_mps2", "m/s2", "lower", "opponent_rms_acceleration", _RUNS,
           title="RMS a"),
     _mean("min_gap_m", "m", "lower", "min_gap", _RUNS, label="least gap", rule_out=2.0,
-          largest=20.0),
-    _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS, label="least TTC"),
+          largest=20.0, words="least gap of AV and opponent"),
+    _mean("ttc_min_s", "s", "lower", "ttc_min", _RUNS, label="least TTC", words="least TTC"),
     _mean("drac_max_mps2", "m/s2", "higher", "drac_max", _RUNS),
     _mean(
         "planner_hardest_braking_mps2", "m/s2", "neither", "planner_hardest_braking", _RUNS,
@@ -434,6 +439,17 @@ BY_NAME: Final = {quantity.name: quantity for quantity in QUANTITIES}
 
 COLUMNS: Final = tuple(quantity for quantity in QUANTITIES if quantity.in_table)
 """In the order of ``table.csv``."""
+
+AVERAGED: Final = {
+    "opponent_rms_acceleration": "rms_a_mps2",
+    "feasible": "feasible",
+    "on_road": "on_road",
+    "candidate_perplexity": "perplexity",
+    "colliding_plans": "colliding_plans",
+    "predicted_contact": "predicted_rate",
+    "av_ade": "av_ade_m",
+}
+"""Metrics that the rows of `show` average over all runs that succeeded, and their columns there."""
 
 COMPARABLE: Final = {
     name: BY_NAME[name]
