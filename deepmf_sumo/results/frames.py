@@ -64,7 +64,7 @@ def run_row(run: Run) -> dict[str, Any]:
         "part": run.part,
         "moment": moment_of(result) if result else "",
         "setup": digest_of(setup_of(result)) if result else "",
-        "source": result["inputs"].get("source", "")[:16] if result else "",
+        "source": result.get("inputs", {}).get("source", "")[:16] if result else "",
         "ended": result.get("ended") if result else None,
         "attacked": has_opponent,
         "judged": has_opponent or (run.status == "ok" and run.adversary == "none"),

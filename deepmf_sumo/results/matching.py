@@ -41,6 +41,7 @@ class Matched:
         confidence: of the interval. largest: see `statistics.paired`.
         specs: whether each unit is a separate spec; else units are scenes.
         old, new: means; None, like the difference, where there is nothing to compare.
+        more, fewer: pairs, or scenes, in which the new side has more than the old one, or less.
         each: name of each unit (spec or scene) and its mean difference; empty without pairs.
         values: the differences of units; without pairs, the values of units, new and old.
     """
@@ -55,6 +56,8 @@ class Matched:
     old: float | None = None
     new: float | None = None
     difference: Difference | None = None
+    more: int = 0
+    fewer: int = 0
     each: tuple[tuple[str, float], ...] = ()
     values: tuple[Units, ...] = ()
 
@@ -159,6 +162,8 @@ def _paired(
         old=fmean(theirs[key][1] for key in both),
         new=fmean(ours[key][1] for key in both),
         difference=_difference([units], confidence, largest),
+        more=sum(ours[key][1] > theirs[key][1] for key in both),
+        fewer=sum(ours[key][1] < theirs[key][1] for key in both),
         each=tuple(
             (spec if specs else scene, fmean(values)) for (spec, scene), values in by_scene.items()
         ),

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from deepmf_sumo.results import reader, stored
-from deepmf_sumo.results import result as result_module
+from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import MISSING, Results, Run
-from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.result import COLUMNS
 from deepmf_sumo.spec.tasks import slug
 
 _REASON: Final = "the run has no result: it was not started, or interrupted"
@@ -32,7 +31,7 @@ def read(out: Path) -> Results:
             result = None
         part = result["part"] if result else known.get(run_id, {}).get("part", "main")
         if part == "main":
-            found[run_id] = None if result is None else _ended(out, result)
+            found[run_id] = None if result is None else Run.of_result(out, result)
     ended = [run for run in found.values() if run is not None]
     runs = (
         run or _missing(out, run_id, known.get(run_id) or _guessed(run_id, ended))
@@ -41,16 +40,8 @@ def read(out: Path) -> Results:
     return Results(folders=(out,), runs=tuple(runs))
 
 
-def _ended(out: Path, result: Result) -> Run:
-    """The run of a result, which is not read again; its row has all digits."""
-    known = result_module.known_of(result).items()
-    run = Run.of_row(out, {name: "" if value is None else str(value) for name, value in known})
-    vars(run)["result"] = reader.without_trials(result)
-    return run
-
-
 def _missing(out: Path, run_id: str, known: Mapping[str, Any]) -> Run:
-    row = dict.fromkeys(result_module.COLUMNS, "") | {
+    row = dict.fromkeys(COLUMNS, "") | {
         **{name: str(value or "") for name, value in known.items()},
         "run_id": run_id,
         "seed": str(known["seed"]),

@@ -23,7 +23,7 @@ from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual
 from deepmf_sumo.judge.ladder import Rung
 from deepmf_sumo.results import artifacts, findings, stored, tracks
 from deepmf_sumo.results.findings import Worth
-from deepmf_sumo.results.result import ContactValues, MetricValues, Result
+from deepmf_sumo.results.result import ContactValues, MetricValues, Result, known_of
 from deepmf_sumo.scene import Contact, RoadMap, Rollout, Scene, readers
 from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.spec import document
@@ -89,6 +89,21 @@ class Run:
             outcome=row["outcome"],
         )
 
+    @classmethod
+    def of_result(cls, out: Path, result: Result) -> Self:
+        """The run of a result that is known, and is not read again; its row has all digits."""
+        known = known_of(result).items()
+        run = cls.of_row(out, {name: "" if one is None else str(one) for name, one in known})
+        vars(run)["result"] = without_trials(result)
+        return run
+
+    @property
+    def has_result(self) -> bool:
+        """Whether there is a ``result.json``, readable or not."""
+        return "result" in vars(self) or (
+            self.status != MISSING and (self.folder / "result.json").is_file()
+        )
+
     @cached_property
     def result(self) -> Result:
         """``result.json`` without the trials of a search: those of thousands of runs are large.
@@ -96,11 +111,6 @@ class Run:
         Raises UsageError where it cannot be read, or is damaged.
         """
         return without_trials(stored.result_of(self.folder / "result.json"))
-
-    @property
-    def has_result(self) -> bool:
-        """Whether there is a ``result.json``, readable or not."""
-        return self.status != MISSING and (self.folder / "result.json").is_file()
 
     @property
     def recorded(self) -> bool:
@@ -168,7 +178,8 @@ class Run:
     @property
     def network(self) -> str | None:
         """The .sumocfg without its suffix; None of a recording, or where that is not known."""
-        return self.result["network"] if self.has_result else self.row.get("network") or None
+        known = self.result if self.has_result else self.row
+        return known.get("network") or None
 
     @property
     def asked_sector(self) -> int | None:

@@ -14,7 +14,7 @@ ONE = pytest.approx((1.0, 0.025, 1.0), abs=1e-6)
 
 
 def runs(seeds):
-    known = {"perception": None, "parameters": "treiber", "samples": None, "error": ""}
+    known = {"perception": None, "parameters": "treiber", "samples": None, "budget": {}}
     found = [gate_doubles.result("a", seed, hit=True, **known) for seed in range(seeds)]
     for one in found:
         one["metrics"] = {}
@@ -37,5 +37,5 @@ def test_of_thresholds(tmp_path, seeds):
 
 @pytest.mark.parametrize("seeds", [1, 10])
 def test_of_tables_of_plans(seeds):
-    row = row_of("fast", "lane", runs(seeds), seeds)
+    row = row_of("fast", "lane", gate_doubles.runs_of_plan(runs(seeds)), seeds)
     assert tuple(row[f"collision_rate{end}"] for end in ("", "_lo", "_hi")) == ONE

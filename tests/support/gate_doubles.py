@@ -1,8 +1,12 @@
 """Made-up result folders, and rows as a gate reads them."""
 
 import json
+from pathlib import Path
+
+from deepmf_sumo.plans import tables
 
 from deepmf_sumo.results import run_sets
+from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.run_sets import RunSet
 
 
@@ -43,6 +47,12 @@ def failed(scene="a", seed=0, status="failed"):
     left = ("opponent", "outcome", "ended", "steps", "search", "contacts", "metrics")
     values = result(scene, seed, status=status, error="SUMO refused")
     return {key: value for key, value in values.items() if key not in left}
+
+
+def runs_of_plan(results):
+    """The frame of results, as tables of plans take it."""
+    runs = (Run.of_result(Path("out"), one) for one in results)
+    return tables.runs_of(Results(folders=(), runs=tuple(runs)))
 
 
 def write_folder(out, results, missing=(), version="0.1.0"):

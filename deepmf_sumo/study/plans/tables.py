@@ -5,12 +5,13 @@ Rates and differences between two methods on the same scenes have the intervals 
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
@@ -22,17 +23,10 @@ from deepmf_sumo.judge.metrics.statistics import (
     effectively_distinct,
     pooled,
 )
-from deepmf_sumo.results import statistics, stored
-from deepmf_sumo.results.quantities import (
-    COLUMNS,
-    Quantity,
-    accident,
-    counted,
-    hit,
-    sector,
-    unit,
-)
-from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results import frames, statistics
+from deepmf_sumo.results.matching import match_pairs
+from deepmf_sumo.results.quantities import COLUMNS, Quantity
+from deepmf_sumo.results.reader import Results
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.study.plans import layout
@@ -44,50 +38,56 @@ TIMINGS: Final = ("generation_time_s", "generation_time_median_s")
 """Columns that differ between equal benchmarks."""
 
 
-def row_of(method: str, planner: str, results: Sequence[Result], planned: int) -> Row:
+def runs_of(results: Results) -> pd.DataFrame:
+    """The frame of runs, with what tables of plans need beside it.
+
+    ``base_method`` is the method without its budget, ``samples`` those of `result.Result`. Raises
+    UsageError where a run has no ``result.json``.
+    """
+    found = [run.result for run in results.runs]
+    own = {name: [one.get(name) for one in found] for name in ("base_method", "samples")}
+    return results.frame().assign(
+        **{name: pd.Series(values, dtype=object) for name, values in own.items()}
+    )
+
+
+def row_of(method: str, planner: str, runs: pd.DataFrame, planned: int) -> Row:
     """A row of ``table.csv``; what is not known is None.
 
     Args:
         method: its label.
         planner: its label.
-        results: of all their runs that have ended.
+        runs: all of them that have ended, as of `runs_of`.
         planned: runs in the plan; those without a result are ``unfinished``.
     """
-    done = [one for one in results if attacked(one)]
-    statuses = Counter(one["status"] for one in results)
-    first: Mapping[str, Any] = results[0] if results else {}
+    done = runs[runs["attacked"]]
+    statuses = Counter(runs["status"])
+    first: Mapping[Any, Any] = runs.iloc[0].to_dict() if len(runs) else {}
     row: Row = {
         "method": method,
         "planner": planner,
         "perception": first.get("perception"),
         "parameters": first.get("parameters"),
-        "scenes": len({one["scene"] for one in results}),
+        "scenes": runs["scene"].nunique(),
         "attacked": len(done),
-        "hits": sum(map(hit, done)),
+        "hits": int(done["hit"].sum()),
     }
-    counts: Row = {}
     for column in COLUMNS:
-        values = [
-            (unit(one), value)
-            for one in results
-            if counted(column, one) and (value := column.value(one)) is not None
-        ]
-        row |= _cells(column, values)
-        counts[f"n_{column.name}"] = len(values)
+        row |= _cells(column, runs)
     row |= _variety(done) | _pooled(done)
-    row["runs"] = len(results)
+    row["runs"] = len(runs)
     row |= {status: statuses[status] for status in STATUSES}
     row["nobody_to_attack"] = statuses["ok"] - len(done)
-    row["unfinished"] = planned - len(results)
-    return row | counts
+    row["unfinished"] = planned - len(runs)
+    return row | {f"n_{column.name}": int(runs[column.name].count()) for column in COLUMNS}
 
 
-def _cells(column: Quantity, of_units: Sequence[tuple[tuple[str, str], float]]) -> Row:
+def _cells(column: Quantity, runs: pd.DataFrame) -> Row:
     """The mean; of rates with the interval, of the generation time with the median."""
-    values = [value for _, value in of_units]
+    values = list(runs[column.name].dropna())
     cells: Row = {column.name: fmean(values) if values else None}
     if column.rate:
-        interval = statistics.rate(statistics.by_unit(of_units)) if values else None
+        interval = frames.rate(runs, column.name) if values else None
         cells[f"{column.name}_lo"] = interval.low if interval else None
         cells[f"{column.name}_hi"] = interval.high if interval else None
     if column.name == "generation_time_s":
@@ -95,27 +95,34 @@ def _cells(column: Quantity, of_units: Sequence[tuple[tuple[str, str], float]]) 
     return cells
 
 
-def _variety(done: Sequence[Result]) -> Row:
+def _variety(done: pd.DataFrame) -> Row:
     """How different the attacks are: over all scenes, and those on one scene."""
     paths: dict[str, list[Floats]] = defaultdict(list)
-    for one in done:
-        if one["samples"] and one["samples"]["opponent_m"]:
-            paths[one["scene"]].append(np.array(one["samples"]["opponent_m"]))
+    for scene, samples in zip(done["scene"], done["samples"], strict=True):
+        if samples and samples["opponent_m"]:
+            paths[scene].append(np.array(samples["opponent_m"]))
+    hits = done[done["hit"]]
+    sectors, accidents = (_numbers(hits[name]) for name in ("impact_sector", "accident_type"))
     return {
-        "sectors_hit": distinct(map(sector, done)),
-        "sectors_effective": effectively_distinct(map(sector, done)),
-        "accident_types": distinct(map(accident, done)),
+        "sectors_hit": distinct(sectors),
+        "sectors_effective": effectively_distinct(sectors),
+        "accident_types": distinct(accidents),
         "diversity_m": diversity_m([path for each in paths.values() for path in each]),
         "diversity_within_scenes_m": diversity_within_m(paths.values()),
     }
 
 
-def _pooled(done: Sequence[Result]) -> Row:
+def _numbers(column: pd.Series) -> list[int]:
+    """Of names that metrics and contacts number."""
+    return [round(value) for value in column.dropna()]
+
+
+def _pooled(done: pd.DataFrame) -> Row:
     """Naturalness of all runs' accelerations together."""
     samples = [
-        Samples(np.array(one["samples"]["attack_mps2"]), np.array(one["samples"]["recorded_mps2"]))
-        for one in done
-        if one["samples"] and one["samples"]["attack_mps2"]
+        Samples(np.array(one["attack_mps2"]), np.array(one["recorded_mps2"]))
+        for one in done["samples"]
+        if one and one["attack_mps2"]
     ]
     found = pooled(samples)
     names = ("kl", "jsd", "wasserstein")
@@ -133,7 +140,7 @@ _DIFFERENCE: Final = (
 
 
 def differences(
-    methods: Mapping[str, Sequence[Result]], baseline: str, planner: str
+    methods: Mapping[str, pd.DataFrame], baseline: str, planner: str
 ) -> list[dict[str, Any]]:
     """A row a quantity and method: method minus baseline, over runs where both have a value.
 
@@ -142,8 +149,12 @@ def differences(
         baseline: one of the methods.
         planner: label for the rows.
     """
+    alike = {
+        method: runs.assign(run_id=runs["seed"].astype(str) + " " + runs["scene"], spec="")
+        for method, runs in methods.items()
+    }
     return [
-        _difference(column, method, baseline, planner, methods)
+        _difference(column, method, baseline, planner, alike)
         for column in COLUMNS
         if column.paired
         for method in methods
@@ -156,47 +167,33 @@ def _difference(
     method: str,
     baseline: str,
     planner: str,
-    methods: Mapping[str, Sequence[Result]],
+    methods: Mapping[str, pd.DataFrame],
 ) -> dict[str, Any]:
-    ours, theirs = _values(column, methods[method]), _values(column, methods[baseline])
-    both = [key for key in ours if key in theirs]
-    by_scene: dict[str, list[float]] = defaultdict(list)
-    for scene, seed in both:
-        by_scene[scene].append(ours[scene, seed] - theirs[scene, seed])
-    mean, low, high = (None, None, None)
-    if both:
-        of_scenes = by_scene.values()
-        mean, low, high = statistics.paired(of_scenes, statistics.CONFIDENCE, column.largest)
-    row = {
+    """``methods``: runs with equal ids where scene and seed are, whatever their spec."""
+    found = match_pairs(
+        column.name, methods[method], methods[baseline], statistics.CONFIDENCE, column.largest
+    )
+    mean, low, high = (found and found.difference) or (None, None, None)
+    return {
         "planner": planner,
         "quantity": column.name,
         "unit": column.unit,
         "method": method,
         "baseline": baseline,
-        "pairs": len(both),
-        "method_mean": fmean(ours[key] for key in both) if both else None,
-        "baseline_mean": fmean(theirs[key] for key in both) if both else None,
+        "pairs": found.count if found else 0,
+        "method_mean": found and found.new,
+        "baseline_mean": found and found.old,
         "difference": mean,
         "difference_lo": low,
         "difference_hi": high,
-    }
-    row["method_only"] = row["baseline_only"] = None
-    if column.rate:
-        row["method_only"] = sum(ours[key] > theirs[key] for key in both)
-        row["baseline_only"] = sum(ours[key] < theirs[key] for key in both)
-    return row
-
-
-def _values(column: Quantity, results: Sequence[Result]) -> dict[tuple[str, int], float]:
-    return {
-        (one["scene"], one["seed"]): value
-        for one in results
-        if counted(column, one) and (value := column.value(one)) is not None
+        "method_only": (found.more if found else 0) if column.rate else None,
+        "baseline_only": (found.fewer if found else 0) if column.rate else None,
     }
 
 
-Key = tuple[str, str, int | None, float | None]
+Key = tuple[str, str, float | None, float | None]
 """Method, planner, and the budget: simulations, seconds; both None where it is the method's own."""
+Runs = Mapping[Key, pd.DataFrame]
 
 MAIN: Final = "table.csv"
 DIFFERENCES: Final = "differences.csv"
@@ -208,7 +205,7 @@ ACCIDENTS: Final = "accidents.csv"
 def write(folder: Path) -> None:
     """Write all tables of a plan's folder, from its runs. Raises UsageError."""
     plan = layout.read_layout(folder)
-    runs = _grouped(results_of(folder))
+    runs = _grouped(runs_of(Results.of(folder)))
     files.write(folder / MAIN, tables.to_csv(main_rows(plan, runs)))
     files.write(folder / DIFFERENCES, tables.to_csv(_differences(plan, runs), _DIFFERENCE))
     files.write(folder / ACCIDENTS, tables.to_csv(_accidents(plan, runs)))
@@ -222,41 +219,38 @@ def write(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
 
 
-def results_of(folder: Path) -> list[Result]:
-    """All results that ``runs.csv`` lists, in its order. Raises UsageError where there are none."""
-    folders = (
-        stored.run_folder(folder, row["run_id"], stored.RUNS) for row in stored.rows_of(folder)
-    )
-    return [stored.result_of(one / "result.json") for one in folders]
-
-
-def main_rows(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+def main_rows(plan: Layout, runs: Runs) -> list[Row]:
     """A row a method and planner, in the plan's order."""
     return [
-        row_of(method, planner, runs.get((method, planner, None, None), ()), planned)
+        row_of(method, planner, runs[method, planner, None, None], planned)
         for planner in plan.planners
         for method in plan.methods
         if (planned := plan.planned(method, planner))
     ]
 
 
-def _grouped(results: Iterable[Result]) -> dict[Key, list[Result]]:
-    groups: dict[Key, list[Result]] = {}
-    for one in results:
-        own = one["part"] != "budgets"
-        budget = (None, None) if own else (one["budget"]["simulations"], one["budget"]["seconds"])
-        groups.setdefault((one["base_method"], one["planner_label"], *budget), []).append(one)
-    return groups
+def _grouped(runs: pd.DataFrame) -> Runs:
+    """By method, planner and budget; none without any runs."""
+    groups: dict[Key, list[int]] = {}
+    columns = ("base_method", "planner_label", "part", "budget_simulations", "budget_seconds")
+    for place, (method, planner, part, *budget) in enumerate(
+        zip(*(runs[name] for name in columns), strict=True)
+    ):
+        given = (None if pd.isna(one) else one for one in budget)
+        key = (method, planner, *((None, None) if part != "budgets" else given))
+        groups.setdefault(key, []).append(place)
+    found = {key: runs.iloc[places] for key, places in groups.items()}
+    return defaultdict(lambda: runs.iloc[:0], found)
 
 
-def _differences(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+def _differences(plan: Layout, runs: Runs) -> list[Row]:
     return [
         row
         for planner in plan.planners
         if plan.planned(plan.baseline, planner)
         for row in differences(
             {
-                method: runs.get((method, planner, None, None), ())
+                method: runs[method, planner, None, None]
                 for method in plan.methods
                 if plan.planned(method, planner)
             },
@@ -266,20 +260,20 @@ def _differences(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row
     ]
 
 
-def _accidents(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+def _accidents(plan: Layout, runs: Runs) -> list[Row]:
     """Hits by impact sector on the AV, and by the name of the accident."""
     rows = []
     for planner in plan.planners:
         for method in dict.fromkeys([*plan.methods, *plan.plan["methods"]]):
             if not plan.planned(method, planner):
                 continue
-            found = runs.get((method, planner, None, None), ())
-            hits = [one for one in found if attacked(one) and hit(one)]
-            for kind, names, of in (
-                ("sector", SECTORS, sector),
-                ("type", ACCIDENT_TYPES, accident),
+            found = runs[method, planner, None, None]
+            hits = found[found["attacked"] & found["hit"]]
+            for kind, names, column in (
+                ("sector", SECTORS, "impact_sector"),
+                ("type", ACCIDENT_TYPES, "accident_type"),
             ):
-                counts = Counter(of(one) for one in hits)
+                counts = Counter(_numbers(hits[column]))
                 rows += [
                     {
                         "method": method,
@@ -295,7 +289,7 @@ def _accidents(plan: Layout, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
     return rows
 
 
-def _equal_seconds(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+def _equal_seconds(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
     """All methods: those of the part with its seconds, the others with their own budget."""
     return [
         _point(plan, part, method, planner, budget, runs)
@@ -306,7 +300,7 @@ def _equal_seconds(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Res
     ]
 
 
-def _curves(plan: Layout, part: Budgeted, runs: Mapping[Key, Sequence[Result]]) -> list[Row]:
+def _curves(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
     """The methods of the part, with their own budget and then with each of its budgets."""
     return [
         _point(plan, part, method, planner, budget, runs)
@@ -322,7 +316,7 @@ def _point(
     method: str,
     planner: str,
     budget: Mapping[str, Any],
-    runs: Mapping[Key, Sequence[Result]],
+    runs: Runs,
 ) -> Row:
     """A row on the part's scenes; an empty budget is the method's own."""
     own = plan.plan["methods"][method]["budget"]
@@ -332,7 +326,8 @@ def _point(
     if not budget or asked == own:
         key = (method, planner, None, None)
         planned = plan.planned(method, planner, len(part.scenes))
-    found = [one for one in runs.get(key, ()) if one["scene"] in part.scenes]
+    found = runs[key]
+    found = found[found["scene"].isin(part.scenes)]
     shown = budget or own
     head = {
         "budget": "given" if budget else "own",

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from test_study_tables import folder, result, rows  # noqa: F401 - a fixture
+from test_study_tables import differences, folder, result, rows  # noqa: F401 - a fixture
 
 from deepmf_sumo.cli import _screen as screen
 from deepmf_sumo.errors import SpecError, UsageError
@@ -91,9 +91,7 @@ def test_rows_of_readable_tables_are_in_the_order_asked_for(folder):  # noqa: F8
 
 
 def test_one_scene_says_next_to_nothing():
-    found = tables.differences(
-        {"slow": [result("a", hit=False)], "fast": [result("a")]}, "slow", "lane"
-    )
+    found = differences({"slow": [result("a", hit=False)], "fast": [result("a")]})
     rate = next(row for row in found if row["quantity"] == "collision_rate")
     assert (rate["pairs"], rate["difference"]) == (1, 1.0)
     assert (rate["difference_lo"], rate["difference_hi"]) == pytest.approx((-0.95, 1.0))

@@ -20,6 +20,7 @@ from deepmf_sumo.study.plans.tables import row_of
 from deepmf_sumo.tables import to_csv
 
 from tests.support import same_bytes
+from tests.support.gate_doubles import runs_of_plan
 
 
 def result(scene="a", method="fast", planner="lane", hit=True, **changes):
@@ -49,6 +50,7 @@ def result(scene="a", method="fast", planner="lane", hit=True, **changes):
         "perception": "lane",
         "parameters": "treiber",
         "adversary": "deepmf",
+        "weights": "open",
         "version": "S1",
         "opponent": "b",
         "outcome": "av_opponent" if hit else "none",
@@ -68,6 +70,12 @@ def result(scene="a", method="fast", planner="lane", hit=True, **changes):
     return one | changes
 
 
+def differences(sides):
+    """Rows of the differences to the method ``slow``."""
+    sides = {name: runs_of_plan(results) for name, results in sides.items()}
+    return tables.differences(sides, "slow", "lane")
+
+
 def failed(scene, **changes):
     one = result(scene, **changes)
     for name in ("opponent", "outcome", "contacts", "metrics", "samples", "search"):
@@ -83,7 +91,7 @@ def test_a_row_counts_what_it_averages():
         result("d", opponent=None, hit=False, samples=None),
         failed("e"),
     ]
-    row = row_of("fast", "lane", results, planned=7)
+    row = row_of("fast", "lane", runs_of_plan(results), planned=7)
     assert (row["scenes"], row["runs"], row["attacked"], row["hits"]) == (5, 5, 3, 2)
     assert (row["ok"], row["failed"], row["nobody_to_attack"], row["unfinished"]) == (4, 1, 1, 2)
     expected = rate([[1.0], [0.0], [1.0]])
@@ -101,9 +109,9 @@ def test_a_row_counts_what_it_averages():
 
 
 def test_a_row_without_runs_is_empty():
-    row = row_of("fast", "lane", [], planned=3)
+    row = row_of("fast", "lane", runs_of_plan([]), planned=3)
     assert (row["unfinished"], row["attacked"], row["collision_rate"]) == (3, 0, None)
-    assert list(row) == list(row_of("fast", "lane", [result()], planned=3))
+    assert list(row) == list(row_of("fast", "lane", runs_of_plan([result()]), planned=3))
 
 
 def test_every_rate_is_of_zeros_and_ones():
@@ -117,7 +125,7 @@ def test_every_rate_is_of_zeros_and_ones():
 def test_paired_differences_take_common_scenes_alone():
     ours = [result(scene, hit=hit) for scene, hit in (("a", True), ("b", True), ("c", False))]
     theirs = [result(scene, hit=False, method="slow") for scene in "abd"]
-    found = tables.differences({"slow": theirs, "fast": ours}, "slow", "lane")
+    found = differences({"slow": theirs, "fast": ours})
     rate = next(row for row in found if row["quantity"] == "collision_rate")
     assert (rate["method"], rate["pairs"], rate["difference"]) == ("fast", 2, 1.0)
     assert (rate["method_only"], rate["baseline_only"]) == (2, 0)
@@ -136,9 +144,9 @@ def test_interval_of_many_scenes_is_that_of_the_mean():
 
 
 def test_seeds_of_a_scene_are_one_unit():
-    differences = (0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0)
-    alike = [[value] * 10 for value in differences]
-    apart = [[value] for value in differences]
+    values = (0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0)
+    alike = [[value] * 10 for value in values]
+    apart = [[value] for value in values]
     assert interval(alike) == pytest.approx(interval(apart))
 
 
@@ -146,13 +154,13 @@ def interval(by_scene):
     """Of the difference in a row of ``differences.csv``; ``by_scene`` are those of each scene."""
     sides = {
         name: [
-            result(f"scene {scene}", name, seed=seed, metrics={"path_sspd": of(value)})
+            result(f"scene-{scene}", name, seed=seed, metrics={"path_sspd": of(value)})
             for scene, values in enumerate(by_scene)
             for seed, value in enumerate(values)
         ]
         for name, of in (("slow", lambda value: 10.0), ("fast", lambda value: 10.0 + value))
     }
-    found = tables.differences(sides, "slow", "lane")
+    found = differences(sides)
     row = next(row for row in found if row["quantity"] == "sspd_m")
     assert row["pairs"] == sum(map(len, by_scene))
     return row["difference_lo"], row["difference_hi"]
