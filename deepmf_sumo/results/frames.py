@@ -73,8 +73,13 @@ def run_row(run: Run) -> dict[str, Any]:
         "wall_s": float(result["timings"]["wall_s"]) if result else None,
         "expectations_broken": tuple(result["expectations_broken"]) if result else (),
         **(run.values if done else {}),
-        **({one.name: one.of(result) for one in QUANTITIES} if result and done else {}),
+        **(_quantities(result) if result and done else {}),
     }
+
+
+def _quantities(result: Result) -> dict[str, float | None]:
+    """But for the column of ``runs.csv``, which runs without an attack have, too."""
+    return {one.name: one.of(result) for one in QUANTITIES if one.name not in COLUMNS}
 
 
 def digest_of(setup: Mapping[str, Any]) -> str:

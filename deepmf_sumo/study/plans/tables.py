@@ -72,14 +72,15 @@ def row_of(method: str, planner: str, runs: pd.DataFrame, planned: int) -> Row:
         "attacked": len(done),
         "hits": int(done["hit"].sum()),
     }
-    for column in COLUMNS:
-        row |= _cells(column, runs)
+    of = {column: done if column.over == "attacked" else runs for column in COLUMNS}
+    for column, part in of.items():
+        row |= _cells(column, part)
     row |= _variety(done) | _pooled(done)
     row["runs"] = len(runs)
     row |= {status: statuses[status] for status in STATUSES}
     row["nobody_to_attack"] = statuses["ok"] - len(done)
     row["unfinished"] = planned - len(runs)
-    return row | {f"n_{column.name}": int(runs[column.name].count()) for column in COLUMNS}
+    return row | {f"n_{column.name}": int(part[column.name].count()) for column, part in of.items()}
 
 
 def _cells(column: Quantity, runs: pd.DataFrame) -> Row:
