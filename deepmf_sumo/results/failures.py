@@ -13,7 +13,7 @@ from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.judge.conflict_types import ConflictType, Side, Who
 from deepmf_sumo.judge.hits import Action, Hit, described
 from deepmf_sumo.results import stored
-from deepmf_sumo.results.findings import Worth
+from deepmf_sumo.results.findings import Worth, cause_of
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.scene import RoadMap, Rollout
 
@@ -43,6 +43,7 @@ class Failure:
         ordinary_mps2: rms acceleration of the opponent; None where it is not known.
         reasons, av_error, opponent_error: of the hit, see `judge.ladder.Verdict`; empty in results
             of versions without a ladder.
+        cause: of a finding, see `findings.cause_of`; None where it is none.
         change, what, last_moment_s: of a finding, see `judge.causes.Cause`; empty where it is none.
     """
 
@@ -67,6 +68,7 @@ class Failure:
     reasons: tuple[str, ...] = ()
     av_error: str = ""
     opponent_error: str = ""
+    cause: tuple[str, ...] | None = None
     change: str = ""
     what: str = ""
     last_moment_s: Mapping[str, float | None] = field(default_factory=dict)
@@ -135,6 +137,7 @@ def _of_hit(run: Run, rollout: Rollout, road: RoadMap | None) -> Failure:
         kind="hit",
         worth=run.worth,
         ordinary_mps2=run.metric("opponent_rms_acceleration"),
+        cause=cause_of(run.result, hit.conflict),
         **_judged(run),
         **{name: getattr(hit, name) for name in _of_the_hit()},
     )

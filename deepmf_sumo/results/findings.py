@@ -34,11 +34,19 @@ DRIVERS: Final[Mapping[str, str]] = {
 """What avoids a hit, by its name in metrics (``avoided_by_cc``) and verdicts."""
 
 
-def cause_key(
-    av_error: str, opponent_error: str, conflict: str | None, change: str
-) -> tuple[str, ...]:
-    """What findings of one cause have in common: who erred how, the conflict, the change."""
-    return av_error, opponent_error, conflict or "", change
+def cause_of(result: Mapping[str, Any], conflict: str | None) -> tuple[str, ...] | None:
+    """What findings of one cause have in common: who erred how, the conflict, the change.
+
+    Args:
+        result: of a run, with its verdict and its cause.
+        conflict: its kind.
+
+    None where the run has no finding, or its cause is not known.
+    """
+    verdict, cause = result.get("finding"), result.get("cause")
+    if not verdict or not cause or verdict["rung"] not in FINDINGS:
+        return None
+    return verdict["av_error"], verdict["opponent_error"], conflict or "", cause["change"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

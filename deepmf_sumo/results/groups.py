@@ -122,21 +122,20 @@ def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
 
 def causes(groups: Iterable[Group]) -> tuple[int, int]:
     """The number of distinct causes, and of the findings that have one of them."""
-    found = [len(group.failures) for group in groups if group.example.change]
+    found = [len(group.failures) for group in groups if group.example.cause]
     return len(found), sum(found)
 
 
 def _order(group: Group) -> tuple[Any, ...]:
     place, rung, *rest = _rank(group.example)
-    often = -len(group.failures) if group.example.change else 0
+    often = -len(group.failures) if group.example.cause else 0
     return (place, rung, often, *rest, -len(group.failures))
 
 
 def _key(failure: Failure) -> Hashable:
     """Findings of one cause: who erred how, the kind of conflict, the smallest change."""
-    if failure.change:
-        errors = failure.av_error, failure.opponent_error
-        return findings.cause_key(*errors, failure.conflict, failure.change)
+    if failure.cause:
+        return failure.cause
     return (
         failure.kind,
         _NUMBER.sub("#", failure.reason),  # the same error at another step

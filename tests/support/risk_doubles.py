@@ -48,12 +48,16 @@ class Attacks:
         shutil.copyfile(self.net, folder / "sumo" / "net.net.xml")
         poses = {"ego": av, **({} if opponent is None else {"foe": opponent})}
         _tracks(folder / "tracks.csv.gz", poses)
+        np.savez(folder / "plans.npz", plans=0)
         contacts = [
             {
                 "kind": kind,
                 "step": step,
                 "first_id": "ego",
                 "second_id": foe,
+                "striker_id": foe,
+                "closing_mps": 6.0,
+                "delta_v_mps": 3.0,
                 "sector": 4,
                 "relative_mps": 6.0,
             }

@@ -19,9 +19,8 @@ import numpy as np
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
-from deepmf_sumo.judge.ladder import FINDINGS
 from deepmf_sumo.results import findings, planned, statistics, stored
-from deepmf_sumo.results.findings import Worth, cause_key
+from deepmf_sumo.results.findings import Worth, cause_of
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.reader import MISSING
 from deepmf_sumo.results.result import Result
@@ -197,7 +196,7 @@ def _attacked(
         pet_s=part.metrics.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
         driven=_driven(found, spots, first, step if hits or others else last),
-        cause=_cause(result, kind) if hits and part.turn in {None, _first_hit(result)} else None,
+        cause=cause_of(result, kind) if hits and part.turn in {None, _first_hit(result)} else None,
         av=found.av_id,
         opponent=part.opponent,
         opponent_kind=_kind_of(found, part.opponent),
@@ -218,14 +217,6 @@ def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> Drive
     steps = len(there) if there.all() else int(there.argmin())  # it may leave the simulation
     where = [spots.at(step) for step in range(first, first + steps)]
     return driven(found.tracks, row, where, first, DT_S, spots.places)
-
-
-def _cause(result: Result, kind: ConflictType | None) -> tuple[str, ...] | None:
-    """Of the run's finding."""
-    verdict, cause = result.get("finding"), result.get("cause")
-    if not verdict or not cause or verdict["rung"] not in FINDINGS:
-        return None
-    return cause_key(verdict["av_error"], verdict["opponent_error"], kind, cause["change"])
 
 
 def _first_hit(result: Result) -> int | None:
