@@ -100,8 +100,8 @@ def _value(run: Run, name: str) -> Any:
     return run.number(name) if name in _NUMBERS else run.row.get(name, "")
 
 
-def _attacks(run: Run) -> Iterator[dict[str, Any]]:
-    """One for each turn, or one of the run; none of a run without a vehicle to attack with."""
+def attacks_of(run: Run) -> Iterator[dict[str, Any]]:
+    """Rows of its attacks: one, or one for each turn; none without a vehicle to attack with."""
     if run.status != "ok" or not run.has_result or not attacked(run.result):
         return
     for number, one in enumerate(_parts(run.result), start=1):
@@ -139,7 +139,7 @@ def _contacts(run: Run) -> Iterator[dict[str, Any]]:
 
 
 _ROWS: Final[Mapping[Kind, Callable[[Run], Iterator[dict[str, Any]]]]] = {
-    "runs": _runs, "attacks": _attacks, "contacts": _contacts,
+    "runs": _runs, "attacks": attacks_of, "contacts": _contacts,
 }  # fmt: skip
 _FIRST: Final[Mapping[Kind, tuple[str, ...]]] = {
     "runs": (*_RUN, *(name for name in COLUMNS if name not in _RUN), "network", "part", "attacked",

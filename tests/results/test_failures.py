@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -126,7 +127,9 @@ def finding(name, change="waits for the gap", rung="A", **more):
         "what": "to wait for the gap", "last_moment_s": {"cc": 2.1, "rss": 1.8, "search": 0.4},
         "av_error": "took_priority", "reasons": ("took_priority",),
     }  # fmt: skip
-    return hit(name, rung, change=change, **values | more)
+    one = hit(name, rung, change=change, **values | more)
+    key = one.av_error, one.opponent_error, one.conflict or "", change
+    return replace(one, cause=key)
 
 
 def test_findings_of_one_cause_are_one_row_and_what_happened_most_often_is_first():

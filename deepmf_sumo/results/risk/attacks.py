@@ -12,17 +12,17 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.conflict_types import ConflictType, Meeting
-from deepmf_sumo.results import findings, planned, statistics, stored
+from deepmf_sumo.results import findings, frames, planned, statistics, stored, tracks
 from deepmf_sumo.results.findings import Worth, cause_of
 from deepmf_sumo.results.quantities import SPARE, criticality
-from deepmf_sumo.results.reader import MISSING
+from deepmf_sumo.results.reader import MISSING, Run
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.risk import passing
 from deepmf_sumo.results.risk import places as places_module
@@ -97,29 +97,13 @@ class Attacked:
         return self.run_id.rsplit("--", 1)[0], self.turn
 
 
-class _Part(NamedTuple):
-    """An attack of a run: opponent, first and last step after the start, metrics, turn."""
-
-    opponent: str
-    first: int
-    last: int
-    metrics: Mapping[str, float | None]
-    turn: int | None = None
-
-
 def of_run(
-    out: Path,
-    result: Result,
-    moment: Mapping[str, str],
-    every: Places,
-    road: RoadMap,
-    weight: float = 1.0,
+    run: Run, moment: Mapping[str, str], every: Places, road: RoadMap, weight: float = 1.0
 ) -> list[Attacked]:
     """The attacks of a run: one, or one per turn where opponents attacked in turn.
 
     Args:
-        out: the result folder.
-        result: of a run in which a vehicle was attacked.
+        run: in which a vehicle was attacked.
         moment: the run's row of ``moments.csv``, or empty.
         every: places of its network.
         road: map of its network.
@@ -127,79 +111,60 @@ def of_run(
 
     Raises UsageError where its tracks are missing or damaged.
     """
-    parts = _parts(result)
-    file = out / "runs" / result["run_id"] / "tracks.csv.gz"
-    found = read_tracks(file)
+    rows = list(frames.attacks_of(run))
+    found = read_tracks(run.folder / tracks.FILE)
     av = Spots(found, road, every, found.av_id, moment)
     # those that left before the attack began have no tracks
-    there = [part.opponent for part in parts if part.opponent in found.tracks.ids]
+    there = [row["opponent"] for row in rows if row["opponent"] in found.tracks.ids]
     opponents = {one: Spots(found, road, every, one, {}) for one in there}
     attacks = (
-        _attacked(str(out), result, part, found, av, opponents.get(part.opponent)) for part in parts
+        _attacked(run.result, row, found, av, opponents.get(row["opponent"])) for row in rows
     )
     return [replace(one, weight=weight) for one in attacks]
 
 
-def _parts(result: Result) -> list[_Part]:
-    turns = result["turns"]
-    if turns is None:
-        values = {name: one["value"] for name, one in result["metrics"].items()}
-        return [_Part(str(result["opponent"]), 0, result["steps"], values)]
-    return [
-        _Part(
-            one["opponent"],
-            round(one["begin_s"] / DT_S),
-            round(one["end_s"] / DT_S),
-            one["metrics"],
-            number,
-        )
-        for number, one in enumerate(turns, start=1)
-    ]
-
-
 def _attacked(
-    folder: str,
-    result: Result,
-    part: _Part,
-    found: RecordedTracks,
-    spots: Spots,
+    result: Result, row: Mapping[str, Any], found: RecordedTracks, spots: Spots,
     opponent: Spots | None,
-) -> Attacked:
-    last = min(found.now + part.last, found.tracks.steps - 1)
-    first = min(found.now + part.first, last)
-    hits = _contacts(result, "av_opponent", first, last, part.opponent)
+) -> Attacked:  # fmt: skip
+    """An attack; ``row``: of the frame of attacks."""
+    foe = row["opponent"]
+    last = min(found.now + round(row["end_s"] / DT_S), found.tracks.steps - 1)
+    first = min(found.now + round(row["begin_s"] / DT_S), last)
+    hits = _contacts(result, "av_opponent", first, last, foe)
     others = _contacts(result, "av_other", first, last)
-    nearest = nearest_step(found, part.opponent, first, last)
+    nearest = nearest_step(found, foe, first, last)
     # of the opponent, else of another, else when the gap was least, else at the start
     step = next(iter((*hits, *others, first if nearest is None else nearest)))
     place_m: Floats = found.tracks.position_m[found.tracks.row(found.av_id), step]
     decided, against = spots.at(step), opponent.at(step) if opponent else OFF
-    kind = _kind(found, part.opponent, step, spots.road)
+    kind = _kind(found, foe, step, spots.road)
+    judged = row["turn"] in {None, _first_hit(result)}
     return Attacked(
-        folder=folder,
-        run_id=result["run_id"],
-        turn=part.turn,
-        scene=result["scene"],
-        seed=result["seed"],
+        folder=row["folder"],
+        run_id=row["run_id"],
+        turn=row["turn"],
+        scene=row["scene"],
+        seed=row["seed"],
         decided=decided,
         began=spots.began(first),
         place_m=(float(place_m[0]), float(place_m[1])),
         hit=bool(hits),
         other=bool(others),
-        worth=findings.worth(part.metrics) if hits else None,
-        ttc_s=part.metrics.get("ttc_min"),
-        gap_m=part.metrics.get("min_gap"),
-        delta_v_mps=part.metrics.get("delta_v"),
+        worth=findings.worth(row) if hits else None,
+        ttc_s=row.get("ttc_min"),
+        gap_m=row.get("min_gap"),
+        delta_v_mps=row.get("delta_v"),
         against=against,
-        criticality=criticality(part.metrics[SPARE]) if SPARE in part.metrics else None,
+        criticality=criticality(row[SPARE]) if SPARE in row else None,
         kind=kind,
-        pet_s=part.metrics.get("pet"),
+        pet_s=row.get("pet"),
         speed_mps=float(found.tracks.speed_mps[found.tracks.row(found.av_id), first]),
         driven=_driven(found, spots, first, step if hits or others else last),
-        cause=cause_of(result, kind) if hits and part.turn in {None, _first_hit(result)} else None,
+        cause=cause_of(result, kind) if hits and judged else None,
         av=found.av_id,
-        opponent=part.opponent,
-        opponent_kind=_kind_of(found, part.opponent),
+        opponent=foe,
+        opponent_kind=_kind_of(found, foe),
     )
 
 
@@ -347,9 +312,7 @@ def _read(out: Path, networks: dict[tuple[str, str], _Filling], left_out: Counte
             network.pass_by(out, run.result, flows)
             moment, weight = moments.get(run.run_id, {}), weights.get(run.run_id, 1.0)
             try:
-                network.attacks += of_run(
-                    out, run.result, moment, network.places, network.road, weight
-                )
+                network.attacks += of_run(run, moment, network.places, network.road, weight)
             except UsageError:
                 network.left_out["without readable tracks"] += 1
 
