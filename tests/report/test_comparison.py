@@ -175,8 +175,8 @@ def test_the_table_is_readable_however_many_results(tmp_path, capsys, folders):
 def test_simulated_episodes_are_shown_where_a_run_made_more_than_one(tmp_path):
     made = folder(tmp_path, [("ok", "none", 1.0)] * 2)
     assert "episodes" not in _short(made)
-    file = made / "runs" / "run1" / "result.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"search": {"simulations": 5}}))
+    frame = pd.read_csv(made / "runs.csv", dtype=str).assign(simulations=["1", "5"])
+    frame.to_csv(made / "runs.csv", index=False)
     assert _short(made)["episodes"] == ("3.0",)
 
 

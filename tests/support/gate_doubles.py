@@ -3,11 +3,10 @@
 import json
 from pathlib import Path
 
-from deepmf_sumo.plans import tables
-
 from deepmf_sumo.results import run_sets
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.run_sets import RunSet
+from deepmf_sumo.study.plans import tables
 
 
 def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
