@@ -1,4 +1,17 @@
-"""Attacks in a running simulation of another program: as a client of its port, or in its script."""
+"""Attacks in a running simulation of another program: as a client of its port, or in its script.
+
+A live attack sees and drives as the loop of `deepmf_sumo.sumo.simulation` does, but another program
+steps SUMO, and the AV is never commanded. It shares the record of an episode, the schedule of
+attacks and the judge; it has one episode and therefore one try.
+
+Why it is as it is:
+
+- SUMO's time is compared before each step: a script that loads a state begins anew.
+- Commands of a client of `serve` that name a file are rewritten (`kept_files`), all else passes.
+- Only a live attack subscribes, to the AV's surroundings: there each question is a message.
+
+The room is optional: only commands, and the public name ``Attacker``, import it.
+"""
 
 from deepmf_sumo.live.attacker import Attached, Attacker, Wish, attach, prepare
 from deepmf_sumo.live.server import Server

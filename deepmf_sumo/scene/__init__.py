@@ -1,8 +1,23 @@
-"""The data that flows between the packages: frozen dataclasses of numpy arrays.
+"""What flows between the rooms, and where it comes from: scenes, road, views, plans, rollouts.
 
-Axis letters: A agents, T steps, H history, F future, M modes, P points, L lanes.
-Units are SI and part of the field names; headings are radians counter-clockwise from +x in
-(-pi, pi]; a pose is the centre of the box; arrays are read-only.
+Everything that crosses a border of rooms is a frozen dataclass of numpy arrays of this package.
+Axis letters: A agents, T steps, H history, F future, M modes, P points, L lanes. Units are SI and
+part of the field names; headings are radians counter-clockwise from +x in (-pi, pi]; a pose is the
+centre of the box; arrays are read-only.
+
+Why so: a policy sees a `View` and nothing else, and a type without a future cannot leak one. A
+reader, a predictor or a metric is tested with arrays, without SUMO and without files.
+
+- The road is one set of lanes with pieces of centre lines (`geometry.road`), for metrics and for
+  the judgement of avoidability alike. `geometry.lane_map` is the one spatial index of lanes; what
+  is prepared for a road is kept while the road lives (``per_road``), and no longer.
+- A light belongs to the lane that begins at it (`signals`).
+- Vehicles on the road and persons on foot are road users (`road_users`). A person's id begins with
+  ``person `` always, not only where a vehicle has its id: which vehicles will come is not known
+  before (`agent_ids`).
+- A vehicle that bends is a row of agents, its boxes, so that contacts, views, metrics and exports
+  need to know nothing of trains; what counts vehicles asks `agent_ids.whole_of`.
+- `readers` read recordings; `geometry` has angles, frames, boxes, polylines as pure functions.
 """
 
 from deepmf_sumo.scene._arrays import Bools, Bytes, Floats, Ints, dtype_of, frozen

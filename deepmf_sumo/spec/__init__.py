@@ -1,7 +1,17 @@
-"""Specs: what to run, in strict YAML.
+"""Specs: what to run, in strict YAML; and the tasks that specs are.
 
 A wrong spec stops the run before it starts, in one line with file, line, key, value, rule and the
 nearest name. Paths are relative to the spec. `schema` describes specs to editors.
+
+Why so: the same words mean the same attack at every door. What a spec means where it says nothing
+is data in `profiles`: the profile (constraints, form, rule, turns), and what the versions differ
+in. `Spec` writes it into the spec as it is read, so that runs, records and copies of a spec know no
+defaults. Commands without a file (`attack`, `attach`, `serve`) make the document of a spec and add
+nothing. Settings of plug-ins know of no versions.
+
+A task (`tasks`) is one run: scene, seed, key. The room lies below all that runs or counts, because
+a result is labelled with the task that it came from. Random numbers of a run depend on scene and
+seed, not on its name: methods are compared under the same ones.
 """
 
 from deepmf_sumo.spec.loading import VERSIONS, load, of_document, takes_turns
