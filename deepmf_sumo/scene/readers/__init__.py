@@ -8,8 +8,8 @@ reads one scene.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -27,8 +27,9 @@ from deepmf_sumo.scene.readers.base import (
     RecordRef,
     Refusal,
     UnknownFormatError,
+    UnreadableError,
 )
-from deepmf_sumo.scene.readers.raw.repair import repair
+from deepmf_sumo.scene.readers.raw.repair import cut, repair
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
 INDEX_VERSION: Final = 5
@@ -38,6 +39,8 @@ _FIRST_BYTES: Final = 2**16
 """Read before a format is looked for: a file whose start cannot be read is of no format."""
 _MOST_LOST: Final = 1000
 """Records of a root that cannot be used; a file of some kilobytes can unpack to millions."""
+
+_NO_RECORDING: Final = (UnknownFormatError, UnreadableError)
 
 T = TypeVar("T")
 
@@ -79,8 +82,9 @@ def scenes(paths: Sequence[Path]) -> Iterator[Scene | Refusal]:
     """
     found = find(paths)
     if len(found) == 1:
-        _check(found[0])
-    return (each for file in found for each in _scenes(file))
+        only = _scenes(found[0], is_only=True)
+        return _begun(next(only, None), only)
+    return (each for root in found for each in _scenes(root))
 
 
 def records(path: Path, cache: Path | None = None) -> Iterator[RecordRef]:
@@ -95,15 +99,9 @@ def records(path: Path, cache: Path | None = None) -> Iterator[RecordRef]:
 
     Raises ReaderError if the path is a file that is no recording or cannot be read.
     """
-    is_folder, listed = path.is_dir(), False
-    for file in find([path]):
-        for ref in _records(file, cache):
-            if not is_folder and not (listed or ref.reader):
-                _check(path)
-            listed = True
-            yield ref
-    if not listed and not is_folder:
-        _check(path)
+    is_only = not path.is_dir()
+    for root in find([path]):
+        yield from _records(root, cache, is_only=is_only)
 
 
 def ids(path: Path, cache: Path | None = None) -> list[str]:
@@ -188,33 +186,22 @@ def _guarded(path: Path, work: Callable[[], Iterator[T]]) -> Iterator[T]:
     try:
         yield from _bounded.each(work)
     except _bounded.EndedError as error:
-        raise _bounded.EndedError(f"{path}: {shown(str(error))}.") from None
+        raise _bounded.EndedError(f"{path}: {shown(cut(str(error)))}.") from None
     except ReaderError as error:
-        raise type(error)(shown(str(error))) from None
-
-
-def _check(path: Path) -> None:
-    """Raises ReaderError if no plug-in accepts the file."""
-
-    def look() -> Iterator[None]:
-        _recordings(path)
-        return iter(())
-
-    for _ in _guarded(path, look):
-        pass
+        raise type(error)(shown(cut(str(error)))) from None
 
 
 def _recordings(root: Path) -> tuple[str, Iterable[RecordRef]]:
     """The plug-in that knows the root, and what it finds there.
 
-    Raises UnknownFormatError if none does, and ReaderError if a file cannot be read.
+    Raises UnknownFormatError if none does, and UnreadableError if it cannot be read.
     """
     try:
         if not root.is_dir():
             with files.opened(root) as file:
                 file.read(_FIRST_BYTES)
     except OSError as error:
-        raise ReaderError(f"{root} cannot be read: {files.reason(error)}.") from None
+        raise UnreadableError(f"{root} cannot be read: {files.reason(error)}.") from None
     known = plugins.names("readers")
     for name in known:
         found = iter(_reader(name).recordings(root))
@@ -239,13 +226,16 @@ def _reader(name: str) -> Reader:
 # Scenes
 
 
-def _scenes(root: Path) -> Iterator[Scene | Refusal]:
+def _scenes(root: Path, *, is_only: bool = False) -> Generator[Scene | Refusal]:
+    """The scenes of a root. Raises ReaderError if it is the only one, and no recording."""
     count = 0
     try:
         for each in _guarded(root, lambda: _read(root)):
             yield each
             count += 1
     except ReaderError as error:
+        if is_only and isinstance(error, _NO_RECORDING):
+            raise
         yield Refusal(file=shown(str(root)), record=count, name="", reason=str(error))
 
 
@@ -262,6 +252,16 @@ def _read(root: Path) -> Iterator[Scene | Refusal]:
 
 
 _ENOUGH: Final = f"the rest of it was not read, since {_MOST_LOST} records could not be used"
+
+
+def _begun(
+    first: Scene | Refusal | None, others: Generator[Scene | Refusal]
+) -> Generator[Scene | Refusal]:
+    """An iterator whose first item was taken."""
+    with closing(others):
+        if first is not None:
+            yield first
+        yield from others
 
 
 def _repaired(reader: Reader, ref: RecordRef, dataset: str) -> Scene | Refusal:
@@ -286,7 +286,7 @@ def _refusal(ref: RecordRef, reason: str, dataset: str) -> Refusal:
         file=str(ref.file),
         record=ref.record,
         name=shown(ref.name[:LONGEST_ID]),
-        reason=shown(reason),
+        reason=shown(cut(reason)),
         dataset=dataset,
     )
 
@@ -303,8 +303,8 @@ def _at(ref: RecordRef) -> Iterator[Scene | Refusal]:
 # Locations of scenes
 
 
-def _records(path: Path, cache: Path | None) -> list[RecordRef]:
-    """The locations of a root's scenes; none if its format is unknown.
+def _records(path: Path, cache: Path | None, *, is_only: bool = False) -> list[RecordRef]:
+    """The locations of a root's scenes; none if its format is unknown, unless it is the only one.
 
     What cannot be read has a location, too, with a name: so it gets a row with the reason in a
     sweep.
@@ -320,9 +320,11 @@ def _records(path: Path, cache: Path | None) -> list[RecordRef]:
         if entry:
             with suppress(OSError):  # on a read-only or full disk, files are listed every time
                 _write_index(entry, found)
-    except UnknownFormatError:
-        return []
-    except (ReaderError, OSError):
+    except (ReaderError, OSError) as error:
+        if is_only and isinstance(error, _NO_RECORDING):
+            raise
+        if isinstance(error, UnknownFormatError):
+            return []
         count = len(found)
         found.append(RecordRef(file=path, name=shown(f"{path.name} record {count}"), record=count))
     return found

@@ -3,36 +3,23 @@
 A pickle is a program: it can call everything that it names. This reader allows the functions with
 which numpy rebuilds arrays and scalars, plain containers, and the one dict subclass of old
 ScenarioNet files; all other names are refused before they are looked up. An allowed function is
-replaced if the original could reserve any amount of memory, or trusts the pickle's claims.
+replaced where numpy's own trusts what the pickle says of an array's memory.
 
-A small pickle can also expand: a list that contains one list twice, which contains another twice,
-and so on, has a few bytes, but becomes gigabytes of text or arrays. `check_extent` refuses it.
+Nothing here limits time or memory, which a small pickle can ask for without end: lists of lists of
+the same list, numbers that collide in a dict, places in a memo. Each file is read in a process that
+has limits (`_bounded`), and which it can only end.
 """
 
 import collections
-import math
 import pickle
-import pickletools
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from io import BytesIO
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
-MOST_OPERATIONS: Final = 2_000_000
-"""Of one pickle; the largest known scene has 100 000. Each needs up to a few hundred bytes."""
-LARGEST_NUMBER: Final = 8
-"""Bytes of a whole number. Longer ones can be chosen so that a dict of them takes hours to fill."""
-
-DEEPEST: Final = 16
-"""Containers in containers; scenes have 7."""
-MOST_ITEMS: Final = 10_000_000
-"""Of all containers and arrays, counted at each occurrence; large scenes have 1 000 000."""
-
 _DTYPE: Final = re.compile(r"[biufSUO][0-9]{1,4}")
-_MOST_DIMENSIONS: Final = 8
-_STORES: Final = {"PUT", "BINPUT", "LONG_BINPUT"}
 
 
 class ForbiddenClassError(pickle.UnpicklingError):
@@ -77,34 +64,18 @@ class _Function:
 
 
 def load_plain(content: bytes) -> Any:
-    """The content of a pickle, at most as deep and large as `check_extent` allows.
+    """The content of a pickle.
 
     Raises:
         ForbiddenClassError: it names a class or function that is not allowed.
         pickle.UnpicklingError: it is damaged or invalid.
     """
     try:
-        _check_operations(content)
-        loaded = _Unpickler(BytesIO(content)).load()
-        check_extent(loaded)
+        return _Unpickler(BytesIO(content)).load()
     except (pickle.UnpicklingError, MemoryError):
         raise
     except Exception as error:  # noqa: BLE001 - a damaged pickle can raise anything
         raise pickle.UnpicklingError(f"it is damaged ({type(error).__name__}: {error})") from None
-    return loaded
-
-
-def _check_operations(content: bytes) -> None:
-    """Refuse operations that only occur in attacks on memory or time."""
-    for count, (opcode, argument, _) in enumerate(pickletools.genops(content)):
-        if count >= MOST_OPERATIONS:
-            raise pickle.UnpicklingError(f"it has more than {MOST_OPERATIONS} operations")
-        entry = argument if opcode.name in _STORES else 0
-        if not isinstance(entry, int) or not 0 <= entry <= len(content):
-            raise pickle.UnpicklingError(f"it stores to memo entry {argument}")
-        bits = argument.bit_length() if isinstance(argument, int) else 0
-        if bits > 8 * LARGEST_NUMBER:
-            raise pickle.UnpicklingError(f"it contains a number of {bits} bits")
 
 
 class _DType:
@@ -130,7 +101,7 @@ class _DType:
 
 
 class _Array(np.ndarray):
-    """An array that is filled once, by a state that was checked.
+    """An array that is filled once, with as many items as its shape says.
 
     numpy copies as many pointers from a list as the shape demands, without checking its length,
     and frees the array's former content even if a view still shows it.
@@ -140,30 +111,37 @@ class _Array(np.ndarray):
 
     def __setstate__(self, state: Any) -> None:
         version, shape, dtype, is_fortran, content = state
+        real = _real(dtype)
         if self._filled:
             raise pickle.UnpicklingError("it fills an array twice")
-        _check_content(shape, _real(dtype), content)
+        if real.hasobject:
+            _refuse_pointers(shape, content)
+        else:
+            shape = _values(content, real, shape).shape
         self._filled = True
-        checked: Any = (version, shape, dtype.real, bool(is_fortran), content)
+        checked: Any = (version, shape, real, bool(is_fortran), content)
         super().__setstate__(checked)
 
 
-def _check_content(shape: Any, dtype: np.dtype[Any], content: Any) -> None:
-    """Refuse an array without all its items: a list of objects, or the bytes of other types."""
-    sound = isinstance(shape, tuple) and len(shape) <= _MOST_DIMENSIONS
-    if not sound or not all(type(size) is int and 0 <= size < 2**31 for size in shape):
-        raise pickle.UnpicklingError(f"it contains an array of shape {_told(shape)}")
-    # numpy multiplies the sizes that are not 0, too
-    count, extent = math.prod(shape), math.prod(size for size in shape if size)
-    if dtype.hasobject:
-        there, needed = (len(content) if type(content) is list else -1), count
-    else:
-        there, needed = (len(content) if type(content) is bytes else -1), count * dtype.itemsize
-    if there != needed or extent >= 2**31:
-        kind = "objects" if dtype.hasobject else "bytes"
+def _refuse_pointers(shape: Any, content: Any) -> None:
+    """Raises UnpicklingError if an array of objects has not exactly the items of a list."""
+    count = np.empty(shape, object).size if type(shape) is tuple else -1
+    if type(content) is not list or len(content) != count:
         raise pickle.UnpicklingError(
-            f"it contains an array of shape {_told(shape)} with {there} {kind}, not {needed}"
+            f"it contains an array of shape {_told(shape)} without all its objects"
         )
+
+
+def _values(content: Any, dtype: np.dtype[Any], shape: Any, order: Any = "C") -> np.ndarray:
+    """The array of exactly these bytes. Raises UnpicklingError if they are not its bytes."""
+    try:
+        if dtype.hasobject or type(content) is not bytes or type(shape) is not tuple:
+            raise ValueError("its values are not written as bytes")
+        return np.frombuffer(content, dtype).reshape(shape, order=order)
+    except (ValueError, TypeError) as error:
+        raise pickle.UnpicklingError(
+            f"it contains an array of shape {_told(shape)} that cannot be made: {error}"
+        ) from None
 
 
 def _told(value: Any) -> str:
@@ -194,20 +172,13 @@ def _empty_array(subtype: Any, shape: Any, dtype: Any) -> np.ndarray:  # noqa: A
 def _scalar(dtype: Any, content: Any) -> Any:
     """``numpy.core.multiarray.scalar`` for numbers, booleans and text."""
     raw = content.encode("latin1") if isinstance(content, str) else content
-    real = _real(dtype)
-    if real.hasobject:
-        raise pickle.UnpicklingError("it contains a scalar of type 'object'")
-    _check_content((), real, raw)
-    return np.frombuffer(raw, dtype=real, count=1)[0]
+    return _values(raw, _real(dtype), ())[()]
 
 
 def _from_buffer(content: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
     """``numpy._core.numeric._frombuffer``: arrays in pickles of protocol 5."""
-    raw, real = bytes(content) if type(content) is bytearray else content, _real(dtype)
-    if real.hasobject:
-        raise pickle.UnpicklingError("it uses numbers as objects")
-    _check_content(shape, real, raw)
-    return np.frombuffer(raw, dtype=real).reshape(shape, order=order)
+    raw = bytes(content) if type(content) is bytearray else content
+    return _values(raw, _real(dtype), shape, order)
 
 
 def _encode(text: str, encoding: str) -> bytes:
@@ -264,43 +235,3 @@ class _Unpickler(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> Any:
         """Raises UnpicklingError: references to other storage are not allowed."""
         raise pickle.UnpicklingError(f"it refers to {_told(pid)} outside itself")
-
-
-def check_extent(value: Any) -> None:
-    """Raises UnpicklingError if the value is too deep, too large, or contains itself."""
-    _extent(value, 0, {})
-
-
-def _extent(value: Any, depth: int, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    """Its number of items and the depth of its containers; ``known`` are those of containers."""
-    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
-        return value.size, 0
-    parts = _parts(value)
-    if parts is None:
-        return 1, 0
-    if id(value) not in known:
-        if depth > DEEPEST:
-            raise pickle.UnpicklingError(
-                f"its lists are more than {DEEPEST} deep, or contain themselves"
-            )
-        items, height = 1, 0
-        for part in parts:
-            more, high = _extent(part, depth + 1, known)
-            items, height = items + more, max(height, high + 1)
-            if items > MOST_ITEMS:
-                raise pickle.UnpicklingError(f"it unfolds to more than {MOST_ITEMS} items")
-        known[id(value)] = items, height
-    if depth + known[id(value)][1] > DEEPEST + 1:
-        raise pickle.UnpicklingError(f"its lists are more than {DEEPEST} deep")
-    return known[id(value)]
-
-
-def _parts(value: Any) -> Iterable[Any] | None:
-    """The parts of a container; None if the value is not one."""
-    if isinstance(value, dict):
-        return (part for pair in value.items() for part in pair)
-    if isinstance(value, list | tuple | set | frozenset):
-        return value
-    if isinstance(value, np.ndarray):
-        return value.flat
-    return None

@@ -23,6 +23,10 @@ class UnknownFormatError(ReaderError):
     """The root is of no format that is known: no recording, as far as can be told."""
 
 
+class UnreadableError(ReaderError):
+    """The root cannot be opened, or its first bytes not be read."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refusal:
     """A record that cannot be used, and why."""

@@ -163,7 +163,7 @@ def _tracks(
         raise ValueError("it has no tracks")
     steps = len(tracks[0]["state"]["position"])
     motions = [_Motion(track["state"], steps, origin) for track in tracks]
-    kinds = [str(track["type"]) for track in tracks]
+    kinds = [identifier(track["type"]) for track in tracks]
     unusual = sorted(set(kinds) - KINDS.keys() - OTHER_KINDS)
     if unusual:
         count = sum(kind in unusual for kind in kinds)

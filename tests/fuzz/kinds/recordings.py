@@ -1,5 +1,7 @@
 """Recordings of each format: listed, their ids read, and each scene read by its id."""
 
+import contextlib
+import importlib.util
 import io
 import json
 import pickle
@@ -18,6 +20,7 @@ from deepmf_sumo.scene.readers import _tfrecord, npz, read_by, womd
 from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 from tests.fuzz import mutators, runner
+from tests.support import argoverse_by_hand
 from tests.support import recordings_by_hand as by_hand
 
 for _name in plugins.names("readers"):
@@ -199,6 +202,34 @@ def _member(array: np.ndarray) -> bytes:
     return content.getvalue()
 
 
+def _scenario(folder: Path) -> Path:
+    return argoverse_by_hand.scenario(folder / "abc")
+
+
+def _change_scenario(rng: random.Random, folder: Path) -> None:
+    """The map, a column, or bytes of either file."""
+    (table,), (described,) = folder.glob("*.parquet"), folder.glob("*.json")
+    if rng.random() < 0.3:
+        mutators.file(rng, rng.choice([table, described]))
+    elif rng.random() < 0.6:
+        described.write_text(json.dumps(mutators.bent(rng, json.loads(described.read_text()))))
+    else:
+        import pandas as pd
+
+        rows = pd.read_parquet(table)
+        column = rng.choice(list(rows.columns))
+        value = rng.choice([*mutators.NUMBERS, *mutators.TEXTS, None])
+        change = rng.choice(["all", "one", "drop"])
+        if change == "drop":
+            del rows[column]
+        else:
+            kept = rows[column].astype(object)
+            kept.iloc[slice(None) if change == "all" else rng.randrange(len(rows))] = value
+            rows[column] = kept.map(str) if isinstance(value, str) else kept
+        with contextlib.suppress(Exception):  # pyarrow refuses some mixtures
+            rows.to_parquet(table)
+
+
 KINDS = (
     runner.Kind("womd", _shard, _change_shard, _used),
     runner.Kind("scenarionet", _pickle, _change_pickle, _used),
@@ -206,3 +237,5 @@ KINDS = (
     runner.Kind("nocturne", _early_json, _change_json, _used),
     runner.Kind("npz", _npz, _change_npz, _used),
 )
+if importlib.util.find_spec("pyarrow"):
+    KINDS = (*KINDS, runner.Kind("argoverse2", _scenario, _change_scenario, _used))

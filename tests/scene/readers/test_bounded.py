@@ -166,6 +166,64 @@ def test_records_without_end_that_cannot_be_used_are_given_up(tmp_path):
     assert len(readers.ids(file)) == 1001
 
 
+def nested(depth, width):
+    inner = ["x"]
+    for _ in range(depth):
+        inner = [inner] * width
+    return inner
+
+
+def itself():
+    held = []
+    held.append(held)
+    return held
+
+
+def in_scene(key, value):
+    """A scene's pickle with such a value in one of its places."""
+    described = by_hand.scenarionet(by_hand.scenario())
+    places = {
+        "id": (described["metadata"], "scenario_id"),
+        "type": (described["tracks"]["7"], "type"),
+        "x": (described["tracks"]["7"]["state"], "position"),
+        "lane": (described["map_features"]["100"], "exit_lanes"),
+        "metadata": (described, "metadata"),
+        "rate": (described["metadata"], "sample_rate"),
+    }
+    del described["metadata"]["ts"]
+    place, name = places[key]
+    place[name] = value
+    return pickle.dumps(described, 4)
+
+
+HOSTILE = [
+    *(in_scene(key, nested(24, 2)) for key in ("id", "type", "x", "lane", "metadata")),
+    *(in_scene(key, itself()) for key in ("id", "type", "x", "lane", "metadata")),
+    in_scene("type", "x" * 2**24),
+    in_scene("rate", "x" * 2**24),
+    b"\x80\x04" + b"]" * 100_000 + b"a" * 99_999 + b".",
+    b"\x80\x04" + b"]0" * 1_500_000 + b"N.",
+    b"\x80\x04r\xff\xff\xff\x7f.",  # memo entry 2**31
+    b"\x80\x05\x96" + b"\xff" * 4 + b"\x00" * 4 + b".",  # room for 4 GB
+    pickle.dumps({key * (2**61 - 1): 0 for key in range(20_000)}),  # all of one hash
+]
+
+
+LONG_TYPE = 10  # a type of road users that is new is no fault, however long
+
+
+@pytest.mark.parametrize("content", HOSTILE, ids=range(len(HOSTILE)))
+def test_pickles_that_unfold_without_end_are_a_refusal(content, tmp_path, monkeypatch):
+    monkeypatch.setattr(_bounded, "CPU_S", 0.3)
+    (tmp_path / "x.pkl").write_bytes(content)
+    before = peak_mb()
+    (found,) = readers.scenes([tmp_path / "x.pkl"])
+    assert isinstance(found, Refusal) or content == HOSTILE[LONG_TYPE]
+    said = found.reason if isinstance(found, Refusal) else " ".join(found.repairs)
+    assert 20 < len(said) < 3000
+    assert peak_mb() - before < 100
+
+
 @pytest.mark.timeout(30)
 def test_devices_pipes_and_link_loops(folder):
     os.mkfifo(folder / "pipe")

@@ -1,5 +1,4 @@
 import collections
-import contextlib
 import io
 import os
 import pickle
@@ -11,6 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepmf_sumo.errors import ReaderError
+from deepmf_sumo.scene.readers import _bounded
 from deepmf_sumo.scene.readers._pickle import ForbiddenClassError, load_plain
 
 ARRAYS = [
@@ -101,7 +102,6 @@ def test_what_can_act_is_refused_by_name(harm, name, protocol, tmp_path, monkeyp
 @pytest.mark.parametrize(
     "content",
     [
-        b"\x80\x04r\xff\xff\xff\x7f.",  # memo entry 2**31
         b"cnumpy\nndarray\n(I100000000000\ntR.",  # an array of 800 GB
         b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I99999999999\ntS'b'\ntR",
         b"P123\n.",  # persistent id
@@ -137,16 +137,28 @@ def test_big_endian_arrays_come_back():
     assert load_plain(pickle.dumps(value)).tolist() == [0, 1, 2]
 
 
-@settings(max_examples=300, deadline=None)
-@given(data=st.data())
-def test_flipped_bytes_give_data_or_that_error(data):
-    value = {"a": np.arange(20.0), "b": [1, "x", None, 2.5], "c": {"d": np.array([True])}}
-    content = bytearray(pickle.dumps(value, data.draw(st.integers(2, 5))))
-    for _ in range(data.draw(st.integers(1, 4))):
-        where = data.draw(st.integers(0, len(content) - 1))
-        content[where] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(pickle.UnpicklingError):
-        load_plain(bytes(content))
+@pytest.mark.sumo  # in the process that bounds it: damage can ask for any amount of memory
+def test_flipped_bytes_give_data_or_an_error_and_no_crash():
+    value = {"a": np.arange(20.0), "b": [1, "x", None, 2.5], "c": {"d": np.array([True, "x"], "O")}}
+    rng = np.random.default_rng(7)
+    refusals = []
+    for number in range(60):
+        content = bytearray(pickle.dumps(value, 2 + number % 4))
+        for where in rng.integers(0, len(content), 1 + number % 4):
+            content[where] = rng.integers(0, 256)
+        try:
+            list(_bounded.each(lambda damaged=bytes(content): iter([bool(read_of(damaged))])))
+        except ReaderError as error:
+            refusals.append(str(error))
+    assert 10 < len(refusals) < 60
+    assert not [one for one in refusals if "ended the process" in one]  # by a crash
+
+
+def read_of(content):
+    try:
+        return load_plain(content)
+    except pickle.UnpicklingError as error:
+        raise ReaderError(str(error)) from None
 
 
 class Filled:
@@ -203,39 +215,9 @@ def test_an_array_cannot_be_filled_twice():
         load_plain(pickle.dumps(array, 2)[:-1] + state + b"b.")
 
 
-def nested(depth, width):
-    inner = ["x"]
-    for _ in range(depth):
-        inner = [inner] * width
-    return {"id": inner}
-
-
-def deep(depth):
-    return b"\x80\x04" + b"]" * depth + b"a" * (depth - 1) + b"."
-
-
-def itself():
-    held = []
-    held.append(held)
-    return held
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (pickle.dumps(nested(26, 2)), "deep"),
-        (pickle.dumps(nested(12, 10)), "more than 10000000 items"),
-        (deep(100_000), "deep"),
-        (pickle.dumps(itself()), "deep|themselves"),
-        (pickle.dumps({key * (2**61 - 1): 0 for key in range(40_000)}), "a number of"),
-        (b"\x80\x04" + b"]0" * 1_500_000 + b"N.", "more than 2000000 operations"),
-        (pickle.dumps(np.arange(3) * 1j), "array of type"),
-    ],
-)
-@pytest.mark.timeout(20)
-def test_what_unfolds_without_end_is_refused(content, reason):
-    with pytest.raises(pickle.UnpicklingError, match=reason):
-        load_plain(content)
+def test_an_array_of_complex_numbers_is_refused():
+    with pytest.raises(pickle.UnpicklingError, match="array of type"):
+        load_plain(pickle.dumps(np.arange(3) * 1j))
 
 
 def test_what_stands_in_several_places_comes_back():

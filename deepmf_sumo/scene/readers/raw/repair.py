@@ -36,8 +36,8 @@ MOST_STATES: Final = 1_000_000
 MOST_FEATURES: Final = 50_000
 MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
-LONGEST_REPAIR: Final = 2000
-"""Characters of the sentence about one repair, which can name many ids."""
+LONGEST_SENTENCE: Final = 2000
+"""Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
 TYPICAL_SIZE_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
     "vehicle": (4.7, 2.0, 1.7),
     "pedestrian": (0.9, 0.9, 1.75),
@@ -103,13 +103,13 @@ def _repaired(recording: RawScene) -> Scene:
         av_id=av_id,
         interest=_known(recording.interest, tracks.ids, "objects of interest", repairs),
         to_predict=_known(recording.to_predict, tracks.ids, "tracks to predict", repairs),
-        repairs=tuple(map(_readable, repairs)),
+        repairs=tuple(shown(cut(repair)) for repair in repairs),
     )
 
 
-def _readable(repair: str) -> str:
-    cut = repair if len(repair) <= LONGEST_REPAIR else f"{repair[:LONGEST_REPAIR]} ..."
-    return shown(cut)
+def cut(sentence: str) -> str:
+    """The sentence, or its beginning if it is very long."""
+    return sentence if len(sentence) <= LONGEST_SENTENCE else f"{sentence[:LONGEST_SENTENCE]} ..."
 
 
 # Ids and extent
