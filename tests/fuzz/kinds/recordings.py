@@ -214,20 +214,23 @@ def _change_scenario(rng: random.Random, folder: Path) -> None:
     elif rng.random() < 0.6:
         described.write_text(json.dumps(mutators.bent(rng, json.loads(described.read_text()))))
     else:
-        import pandas as pd
+        with contextlib.suppress(Exception):  # pandas and pyarrow refuse some values
+            _bend_column(rng, table)
 
-        rows = pd.read_parquet(table)
-        column = rng.choice(list(rows.columns))
+
+def _bend_column(rng: random.Random, table: Path) -> None:
+    import pandas as pd
+
+    rows = pd.read_parquet(table)
+    column = rng.choice(list(rows.columns))
+    change = rng.choice(["all", "one", "drop"])
+    values = rows.pop(column)
+    if change != "drop":
         value = rng.choice([*mutators.NUMBERS, *mutators.TEXTS, None])
-        change = rng.choice(["all", "one", "drop"])
-        if change == "drop":
-            del rows[column]
-        else:
-            kept = rows[column].astype(object)
-            kept.iloc[slice(None) if change == "all" else rng.randrange(len(rows))] = value
-            rows[column] = kept.map(str) if isinstance(value, str) else kept
-        with contextlib.suppress(Exception):  # pyarrow refuses some mixtures
-            rows.to_parquet(table)
+        values = values.astype(object)
+        values.iloc[slice(None) if change == "all" else rng.randrange(len(rows))] = value
+        rows[column] = values.map(str) if isinstance(value, str) else values
+    rows.to_parquet(table)
 
 
 KINDS = (
