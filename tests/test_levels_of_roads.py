@@ -11,9 +11,9 @@ from deepmf_sumo.baselines import _open_loop as open_loop
 from deepmf_sumo.baselines import diffscene
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
+from deepmf_sumo.deepmf.networks.config import VECTOR
 from deepmf_sumo.deepmf.networks.lanes import road_index
-from deepmf_sumo.deepmf.networks.opponent import _pairs, surroundings
-from deepmf_sumo.deepmf.networks.routes import lane_routes, on_lanes, passes_over
+from deepmf_sumo.deepmf.networks.opponent import lane_routes, opponent_features, passes_over
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Limits
 from deepmf_sumo.exporters.base import Exportable
@@ -70,7 +70,7 @@ def test_lanes_under_a_vehicle(level, middle_m):
     many = np.array([POSE]), np.zeros(1)
     routes = lane_routes(road, *many, np.ones(1), {}, np.array([z]))
     np.testing.assert_allclose(routes.node_z_m, DECKS[level])
-    assert on_lanes(road, *many, 2.0, 0.5, np.array([z])).all()
+    assert road_index(road).on_lanes(*many, 2.0, 0.5, np.array([z])).all()
     found = matching.match(road, *many, np.ones(1, bool), np.array([z]))
     assert found.lane_ids == (level,)
 
@@ -118,7 +118,7 @@ def view_of(road, heights):
 def test_routes_that_pass_over_each_other_do_not_meet():
     def relations(road, heights):
         view = view_of(road, heights)
-        return _pairs(view, surroundings(view), 8.0, stands_in=False)
+        return opponent_features(view, VECTOR)[0]["pair"]
 
     flat = relations(crossing({"below": 0.0, "above": 0.0}), (0.0, 0.0))
     high = relations(crossing({"below": 5.0, "above": 5.0}), (5.0, 5.0))

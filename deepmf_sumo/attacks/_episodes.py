@@ -11,7 +11,7 @@ from pydantic import Field
 
 from deepmf_sumo import plugins
 from deepmf_sumo.attacks.base import Simulate
-from deepmf_sumo.deepmf.networks.base import OpponentPredictor
+from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.opponent import choose as choose_opponent
 from deepmf_sumo.deepmf.settings import LIMITS
@@ -289,7 +289,7 @@ class OpponentChoice:
     def __init__(self, how: str, weights: str) -> None:
         self._how = how
         self._weights = weights
-        self._predictor: OpponentPredictor | None = None
+        self._predictor: Opponent | None = None
 
     def load(self) -> None:
         """Load the network if it is needed, which takes a while."""

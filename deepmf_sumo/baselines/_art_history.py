@@ -15,11 +15,9 @@ from torch import Tensor
 
 from deepmf_sumo.baselines._art_descent import GONE_M, KNOT_STEPS, Bounds, Descent, descend
 from deepmf_sumo.deepmf.networks import anchors
-from deepmf_sumo.deepmf.networks.decoding import knot_matrix
-from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals
-from deepmf_sumo.deepmf.networks.features import features
-from deepmf_sumo.deepmf.networks.kinematics import half_second_ago, pose_of
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
+from deepmf_sumo.deepmf.networks.decode import knot_matrix
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals, as_batch
+from deepmf_sumo.deepmf.networks.encode import features, half_second_ago, pose_of
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bools, Floats, View
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
@@ -89,7 +87,7 @@ class Past:
         self.basis: Floats = np.where(self.known[:, None], _spline(), 0.0)
 
     def batch(self, offset: Tensor) -> dict[str, Tensor]:
-        """`features.Features` of R perturbed histories, differentiable in the offsets."""
+        """`encode.Features` of R perturbed histories, differentiable in the offsets."""
         batch = {
             name: values.expand(len(offset), *values.shape[1:])
             for name, values in self._arrays.items()
@@ -116,7 +114,7 @@ class Past:
         return replace(self._view, history=history)
 
     def _states(self, own: Tensor, offset: Tensor) -> Tensor:
-        """(R, 11, 7) states (11, 7) of `features.Features` moved by offsets of the same frame."""
+        """(R, 11, 7) states (11, 7) of `encode.Features` moved by offsets of the same frame."""
         rate = torch.zeros_like(offset)
         first = int(self.known.argmax())
         if first < HISTORY_STEPS - 2:

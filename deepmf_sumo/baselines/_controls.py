@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepmf_sumo.attacks._episodes import Motion, Scouted, Trajectories
-from deepmf_sumo.deepmf.networks.lanes import road_index
-from deepmf_sumo.deepmf.networks.paths import path_set
+from deepmf_sumo.deepmf.networks.lanes import path_set, road_index
 from deepmf_sumo.deepmf.tracking import Limits, Start
 from deepmf_sumo.scene import DT_S, Floats, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines

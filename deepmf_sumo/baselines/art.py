@@ -36,7 +36,7 @@ from deepmf_sumo.attacks._episodes import (
 from deepmf_sumo.attacks.base import Simulate
 from deepmf_sumo.baselines import _open_loop as open_loop
 from deepmf_sumo.baselines._open_loop import Aimed, AimedSettings, attack_in_rounds
-from deepmf_sumo.deepmf.networks.base import MOST_MODES
+from deepmf_sumo.deepmf.networks.predict import MOST_MODES
 from deepmf_sumo.deepmf.situation import footprint
 from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.errors import WeightsError

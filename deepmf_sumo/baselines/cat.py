@@ -33,7 +33,7 @@ from deepmf_sumo.baselines._open_loop import (
 )
 from deepmf_sumo.deepmf.candidates import Candidates, References, ranked
 from deepmf_sumo.deepmf.candidates import weights as candidate_weights
-from deepmf_sumo.deepmf.networks.base import MOST_MODES, MarginalPredictor
+from deepmf_sumo.deepmf.networks.predict import MOST_MODES, Marginal
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import track
@@ -68,7 +68,7 @@ class CAT:
         self._settings = settings
         self._weights = weights
         self._opponent = OpponentChoice(settings.opponent, weights)
-        self._marginal: MarginalPredictor | None = None
+        self._marginal: Marginal | None = None
 
     def load(self) -> None:
         """Load the networks."""
@@ -93,9 +93,7 @@ class CAT:
         choose, rounds = self._opponent.of(case), self._settings.rounds
         return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
 
-    def _aim(
-        self, scouted: Scouted, rollouts: Sequence[Motion], marginal: MarginalPredictor
-    ) -> Aimed:
+    def _aim(self, scouted: Scouted, rollouts: Sequence[Motion], marginal: Marginal) -> Aimed:
         """The best candidate, and its scores."""
         view = scouted.view
         last = Answers.of(view, rollouts[-self._settings.memory :])
@@ -113,7 +111,7 @@ class CAT:
         return Aimed(plan=_plan(view, own, last, scored), parameters=parameters)
 
     def _candidates(
-        self, view: View, opponent_id: str, last: Answers, marginal: MarginalPredictor
+        self, view: View, opponent_id: str, last: Answers, marginal: Marginal
     ) -> Candidates:
         """Predicted and goal-directed candidates of the opponent, drivable, likeliest first."""
         settings, limits = self._settings, self._settings.limits

@@ -14,7 +14,7 @@ Why it is as it is:
   queried (`networks.base`). A policy can be copied, resumed and run beside others.
 - A goal of DenseTNT is a (lane-graph path, speed profile) pair: it carries its timing, so that
   completion is a small residual along the path. With ``head: dense`` it is a place of a grid along
-  the path (`networks.goal_grid`), with the timing of a constant acceleration: both end in one
+  the path (`networks.anchors`), with the timing of a constant acceleration: both end in one
   ``GoalSet``. Dense networks choose their paths themselves, so the marginal network is no prior for
   the conditional one.
 - In preset ``light`` the opponent's future enters VGG16 after its third block, so that one encoding

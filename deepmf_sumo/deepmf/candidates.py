@@ -25,7 +25,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.deepmf.networks.base import Prediction
+from deepmf_sumo.deepmf.networks.predict import MarginalPrediction
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
@@ -115,7 +115,7 @@ def tail(situation: Situation, steps: int) -> list[References]:
     return [References.of("tail", rest, situation.limits.rows(1))]
 
 
-def weights(modes: Forecast, others_m: Floats, prediction: Prediction) -> Floats:
+def weights(modes: Forecast, others_m: Floats, prediction: MarginalPrediction) -> Floats:
     """(N1) joint probabilities of the modes and of the candidates (K, F, 2) after them."""
     if len(others_m) == 0:
         return modes.probability

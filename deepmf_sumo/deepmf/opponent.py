@@ -4,8 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.deepmf.networks.base import OpponentPredictor
-from deepmf_sumo.deepmf.networks.routes import passes_over
+from deepmf_sumo.deepmf.networks.opponent import Opponent, passes_over
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.scene import AgentId, Floats, OpponentScores, View
 
@@ -16,7 +15,7 @@ SCORED: Final = frozenset({"argmax", "sample", "partner"})
 def choose(
     view: View,
     how: str,
-    predictor: OpponentPredictor | None,
+    predictor: Opponent | None,
     partner_id: AgentId | None,
     rng: np.random.Generator,
 ) -> tuple[AgentId | None, OpponentScores | None]:

@@ -15,12 +15,8 @@ from deepmf_sumo.deepmf import candidates, constraints, scoring
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.experience import Experience, Predicted
-from deepmf_sumo.deepmf.networks.base import (
-    ConditionalPrediction,
-    ConditionalPredictor,
-    MarginalPredictor,
-    OpponentPredictor,
-)
+from deepmf_sumo.deepmf.networks.opponent import Opponent
+from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
 from deepmf_sumo.deepmf.opponent import choose, highest
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
@@ -46,17 +42,17 @@ class Predictors(Protocol):
     """The three networks of the paper."""
 
     @property
-    def opponent(self) -> OpponentPredictor:
+    def opponent(self) -> Opponent:
         """Scores of vehicles as opponents: phi."""
         ...
 
     @property
-    def marginal(self) -> MarginalPredictor:
+    def marginal(self) -> Marginal:
         """Futures of the opponent: phi_M."""
         ...
 
     @property
-    def conditional(self) -> ConditionalPredictor:
+    def conditional(self) -> Conditional:
         """Futures of the AV given the opponent's: phi_C."""
         ...
 

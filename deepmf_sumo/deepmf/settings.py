@@ -11,7 +11,7 @@ from pydantic import (
 )
 
 from deepmf_sumo import plugins
-from deepmf_sumo.deepmf.networks.base import MOST_MODES
+from deepmf_sumo.deepmf.networks.predict import MOST_MODES
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.scoring import Balance, Rule
 from deepmf_sumo.deepmf.tracking import Limits

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from deepmf_sumo.deepmf.networks import decoding, marginal, torch_networks, weights
-from deepmf_sumo.deepmf.networks.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
+from deepmf_sumo.deepmf.networks import decode, torch_networks, weights
+from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS, GoalSet, Singles, log_softmax
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.training import cards, run
@@ -114,13 +114,13 @@ def _figures(
     """Of one sample: its true future (80, 2), and where it is known (80)."""
     knots = list(KNOT_STEPS)
     kernels_m = [net.kernel_m for net in nets]
-    density = marginal.log_density(kernels_m, members, 1.0, future[None, knots], valid[knots])
+    density = decode.log_density(kernels_m, members, 1.0, future[None, knots], valid[knots])
     found = {"loss": -float(density[0])}
-    goals = marginal.pooled(members)
+    goals = decode.pooled(members)
     weight = np.exp(log_softmax(goals.logits.reshape(1, -1))).reshape(goals.logits.shape)
     ends = goals.ends()
     for modes in _MODES:
-        chosen, _ = decoding.select(weight, ends, modes, block=goals.block)
+        chosen, _ = decode.select(weight, ends, modes, block=goals.block)
         off = np.hypot(*(ends[0, chosen[0]] - future[-1]).T)
         found[f"min_fde_{modes}"] = float(off.min())
     return found

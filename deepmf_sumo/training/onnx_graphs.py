@@ -19,16 +19,25 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 from deepmf_sumo import files
-from deepmf_sumo.deepmf.networks import conditioning, torch_networks, weights
-from deepmf_sumo.deepmf.networks import paths as paths_module
-from deepmf_sumo.deepmf.networks.car_following import Road
+from deepmf_sumo.deepmf.networks import condition, torch_networks, weights
+from deepmf_sumo.deepmf.networks import lanes as paths_module
+from deepmf_sumo.deepmf.networks.condition import Road
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Encoding
-from deepmf_sumo.deepmf.networks.features import AGENTS, LANES, PATH_AGENTS
+from deepmf_sumo.deepmf.networks.encode import (
+    AGENTS,
+    LANES,
+    PATH_AGENTS,
+    AgentInfo,
+    AgentState,
+    LaneInfo,
+    OwnMotion,
+    PathAgent,
+)
+from deepmf_sumo.deepmf.networks.lanes import NODES, PathInfo
 from deepmf_sumo.deepmf.networks.onnx_networks import DECODE, ENCODE, KERNEL, PATHS, graph_file
-from deepmf_sumo.deepmf.networks.opponent import OTHERS, PAIR, SLOTS
+from deepmf_sumo.deepmf.networks.opponent import OTHERS, SLOTS, Pair
 from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
-from deepmf_sumo.deepmf.networks.paths import INFO, NODES
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.training.fit import checkpoints
@@ -79,7 +88,7 @@ def opponent_graph(net: OpponentNet) -> onnx.ModelProto:
         scene = _scene(net.preset, OTHERS + 1, seed, size)
         batch = {name: scene[name] for name in scene if name not in (*PATHS, "motion")}
         if net.preset.pairs:
-            batch["pair"] = _random(seed + 1, (1, size, PAIR))
+            batch["pair"] = _random(seed + 1, (1, size, len(Pair)))
         return {**batch, "vehicle": torch.ones(1, size)}
 
     free = {name: {1: Dim("slots", min=2, max=OTHERS)} for name in SLOTS}
@@ -87,7 +96,7 @@ def opponent_graph(net: OpponentNet) -> onnx.ModelProto:
 
 
 def encode_graph(net: DenseTNT) -> onnx.ModelProto:
-    """`features.Features` of a vehicle, without unused paths -> the fields `_ENCODED`."""
+    """`encode.Features` of a vehicle, without unused paths -> the fields `_ENCODED`."""
 
     def inputs(seed: int, size: int) -> dict[str, Tensor]:
         return _scene(net.preset, AGENTS, seed, size)
@@ -159,14 +168,14 @@ class _Decoder(nn.Module):
         fields: dict[str, Any] = {name: batch.get(name) for name in _ENCODED}
         scene = Encoding(
             paths=batch["paths"],
-            exists=batch["path_info"][..., 0] > 0,
+            exists=batch["path_info"][..., PathInfo.THERE] > 0,
             road=Road.of(batch),
             **fields,
         )
         given = None
         if self.net.conditional:
             parts = batch["position_m"], batch["heading_rad"], batch["given"]
-            given = conditioning.encode(*parts, self.net.preset)
+            given = condition.Condition.of(*parts, self.net.preset)
         found = self.net.decode(scene, given)
         return found.logits, found.knots
 
@@ -178,10 +187,15 @@ def _encoded(net: DenseTNT) -> tuple[str, ...]:
 def _scene(preset: Preset, agents: int, seed: int, paths: int) -> dict[str, Tensor]:
     """Random features of the right shapes; everything is there."""
     shapes = {
-        "agents": (agents, 11, 7), "agent_info": (agents, 8), "lanes": (LANES, 10, 2),
-        "lane_info": (LANES, 10), "paths": (paths, NODES, 2), "path_info": (paths, INFO),
-        "path_agents": (paths, PATH_AGENTS, 8), "motion": (7,),
-    }  # fmt: skip
+        "agents": (agents, 11, len(AgentState)),
+        "agent_info": (agents, len(AgentInfo)),
+        "lanes": (LANES, 10, 2),
+        "lane_info": (LANES, len(LaneInfo)),
+        "paths": (paths, NODES, 2),
+        "path_info": (paths, len(PathInfo)),
+        "path_agents": (paths, PATH_AGENTS, len(PathAgent)),
+        "motion": (len(OwnMotion),),
+    }
     batch = {
         name: _random(seed + 10 * row, (1, *shape)).abs()
         for row, (name, shape) in enumerate(shapes.items())

@@ -18,8 +18,8 @@ from deepmf_sumo.baselines import _art_history as art_history
 from deepmf_sumo.baselines._art_descent import Bounds
 from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import LIGHT, changed
-from deepmf_sumo.deepmf.networks.features import features
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
+from deepmf_sumo.deepmf.networks.densetnt import as_batch
+from deepmf_sumo.deepmf.networks.encode import features
 from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.scene import Budget
 

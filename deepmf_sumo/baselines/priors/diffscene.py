@@ -26,7 +26,7 @@ from deepmf_sumo.baselines.priors.strive import (
     paths_of,
 )
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.paths import INFO
+from deepmf_sumo.deepmf.networks.lanes import PathInfo
 from deepmf_sumo.scene import HISTORY_STEPS
 
 KNOTS: Final = 16
@@ -72,7 +72,7 @@ class DiffusionPrior(nn.Module):
         self.preset = preset
         hidden = preset.hidden
         self.past = mlp(HISTORY_STEPS * 7 + 8, hidden)
-        self.path = mlp(2 * kept_nodes() + INFO, hidden)
+        self.path = mlp(2 * kept_nodes() + len(PathInfo), hidden)
         self.choice = nn.Linear(hidden, hidden)
         self.node = mlp(2 * hidden, hidden)
         self.messages = Messages(hidden)

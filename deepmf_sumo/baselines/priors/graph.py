@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.deepmf.networks.kinematics import recent_change
-from deepmf_sumo.deepmf.networks.lanes import road_index
-from deepmf_sumo.deepmf.networks.paths import INFO, NODE_SPACING_M, path_set
+from deepmf_sumo.deepmf.networks.encode import recent_change
+from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M, PathInfo, path_set, road_index
 from deepmf_sumo.scene import HISTORY_STEPS, AgentId, Floats, Ints, Tracks, View
 from deepmf_sumo.scene.geometry import frames
 
@@ -33,7 +32,7 @@ kind       (16, 3)        is a cyclist, is the AV, there
 motion     (16, 3)        speed, acceleration, yaw rate
 pose       (16, 3)        x, y, heading now, in the frame of the first vehicle
 ways       (16, 7, 49, 2) ways that the lanes offer, every 4 m, in the vehicle's own frame
-way_info   (16, 7, 14)    see `paths.PathSet`
+way_info   (16, 7, 14)    see `lanes.PathInfo`
 =========  ============== ======================================================================
 """
 
@@ -74,7 +73,7 @@ def graph_of(view: View, ids: Sequence[AgentId]) -> Graph:
         "motion": np.zeros((MEMBERS, 3)),
         "pose": np.zeros((MEMBERS, 3)),
         "ways": np.zeros((MEMBERS, PATHS, NODES, 2)),
-        "way_info": np.zeros((MEMBERS, PATHS, INFO)),
+        "way_info": np.zeros((MEMBERS, PATHS, len(PathInfo))),
     }
     found["history"][:count] = _histories(tracks, rows, position, heading)
     found["size"][:count] = tracks.size_m[rows, :2]

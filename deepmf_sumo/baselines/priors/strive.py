@@ -15,7 +15,7 @@ from deepmf_sumo.baselines.priors.bicycle import CONTROLS, SUBSTEPS
 from deepmf_sumo.baselines.priors.graph import NODES, SPACING_M
 from deepmf_sumo.baselines.priors.messages import Messages, edge_features, linked
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.paths import INFO
+from deepmf_sumo.deepmf.networks.lanes import PathInfo
 from deepmf_sumo.scene import HISTORY_STEPS
 
 LATENT: Final = 16
@@ -23,7 +23,7 @@ _NODE_STRIDE: Final = 2
 _LOOK_M: Final = (0.0, 2.0, 5.0, 10.0)
 _LOOK_S: Final = (0.0, 0.3, 0.8, 1.5)
 """Points of its way that a driver steers by: metres, and seconds at its speed, ahead."""
-_INPUTS: Final = 3 + 2 * len(_LOOK_M) + INFO
+_INPUTS: Final = 3 + 2 * len(_LOOK_M) + len(PathInfo)
 _LOG_SIGMA: Final = (-4.0, 2.0)
 
 
@@ -87,7 +87,7 @@ class MotionPrior(nn.Module):
         self.preset = preset
         hidden = preset.hidden
         self.past = mlp(HISTORY_STEPS * 7 + 8, hidden)
-        self.path = mlp(2 * kept_nodes() + INFO, hidden)
+        self.path = mlp(2 * kept_nodes() + len(PathInfo), hidden)
         self.choice = nn.Linear(hidden, hidden)
         self.node = mlp(2 * hidden, hidden)
         self.prior_messages = Messages(hidden)

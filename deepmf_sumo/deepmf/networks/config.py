@@ -44,7 +44,7 @@ class Preset:
             `anchors.BRAKING` in addition. At least 7: `evaluate` asks for 32 modes, and a vehicle
             has at least five paths.
         head: goals of the trajectory networks: ``paths`` (paths and speed profiles), or ``dense``
-            as published (see `goal_grid`), without profiles.
+            as published (see `anchors`), without profiles.
     """
 
     name: str

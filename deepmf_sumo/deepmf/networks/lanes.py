@@ -1,14 +1,21 @@
-"""Lanes as features need them: nearest points to a pose, sequences of lanes ahead, drawn points."""
+"""The road as networks see it: lanes near poses, sequences of lanes ahead, paths from a pose.
+
+A vehicle's paths are those that it can take: along the lane graph, and a fan off the lanes. Every
+path begins at the pose with the pose's heading, joins its lane within three seconds of driving, and
+is given at equal distances, so that a point at any distance is one look-up.
+"""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from enum import IntEnum
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepmf_sumo.scene import Bools, Floats, Ints, Lane, Polygon, RoadMap, SignalState
-from deepmf_sumo.scene.geometry import polylines
+from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.ground import ground_of, on_nearest_level
 from deepmf_sumo.scene.geometry.lane_map import LaneMap, per_road
+from deepmf_sumo.scene.signals import Colour, colour
 
 LANE_SPACING_M = 1.0
 PIECE_POINTS = 10
@@ -20,6 +27,10 @@ ROAD_CHANNELS = (
 )  # fmt: skip
 """Kinds of road points; stop signs are drawn with the speed bumps."""
 
+_CELL_M = 8.0
+_PASSED_M = 3.0
+"""A signal counts until a vehicle is this far past it."""
+
 
 class Foot(NamedTuple):
     """The nearest point of a lane to a pose; ``left_m`` is the pose's offset to the left."""
@@ -30,6 +41,55 @@ class Foot(NamedTuple):
     distance_m: float
     turn_rad: float
     """Heading of the pose minus heading of the lane."""
+
+
+class Near(NamedTuple):
+    """Pairs of a pose and a drivable segment near it.
+
+    Distance along the segment, offset to its left, distance from it, turn from its direction.
+    """
+
+    pose: Ints
+    segment: Ints
+    along_m: Floats
+    left_m: Floats
+    apart_m: Floats
+    turn_rad: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cells:
+    """Segments sorted by the 8 m cell of their start; ``key`` is that of the sorted segments."""
+
+    key: Ints
+    segment: Ints
+    low_m: Floats
+    rows: int
+
+    @classmethod
+    def of(cls, start_m: Floats) -> "Cells":
+        """The cells of segments that start at points (S, 2)."""
+        low = start_m.min(0) - 2 * _CELL_M if len(start_m) else np.zeros(2)
+        cell = np.floor((start_m - low) / _CELL_M).astype(np.int64)
+        rows = int(cell[:, 1].max()) + 3 if len(cell) else 1
+        key = cell[:, 0] * rows + cell[:, 1]
+        segment = np.argsort(key, kind="stable")
+        return cls(key=key[segment], segment=segment, low_m=low, rows=rows)
+
+    def around(self, position_m: Floats) -> tuple[Ints, Ints]:
+        """Pairs of a position (V, 2) and a segment that starts in its cell or the eight around it.
+
+        Not by `LaneMap.feet`: features depend on which segments choose the level, and their order.
+        """
+        cell = np.floor((position_m - self.low_m) / _CELL_M).astype(np.int64)
+        inside = (cell[:, 1] >= 1) & (cell[:, 1] < self.rows - 1)
+        pose = np.repeat(np.flatnonzero(inside), 3)
+        column = cell[inside, 0][:, None] + np.array([-1, 0, 1])
+        low = (column * self.rows + cell[inside, 1][:, None] - 1).reshape(-1)
+        begin = np.searchsorted(self.key, low)
+        count = np.searchsorted(self.key, low + 3) - begin
+        place = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        return np.repeat(pose, count), self.segment[np.repeat(begin, count) + place]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +106,7 @@ class RoadIndex:
         piece_m: (N, 10, 2). piece_kind: (N, 4) one-hot: freeway, street, bike or unknown,
             interpolating. piece_lane: (N) row of the lane.
         pixel_m: (Q, 2) points of everything drawn. pixel_channel: (Q) index in ROAD_CHANNELS.
+        cells: where segments start.
     """
 
     map: LaneMap
@@ -63,6 +124,7 @@ class RoadIndex:
     piece_lane: Ints
     pixel_m: Floats
     pixel_channel: Ints
+    cells: Cells
 
     def feet(
         self,
@@ -107,6 +169,44 @@ class RoadIndex:
             )
         return sorted(feet, key=lambda foot: foot.distance_m)
 
+    def near(self, position_m: Floats, heading_rad: Floats, z_m: Floats | None) -> Near:
+        """Poses (V) and the drivable segments within about 8 m; levels as in `feet`."""
+        pose, segment = self.cells.around(position_m)
+        drivable = self.drivable[self.map.lane[segment]]
+        pose, segment = pose[drivable], segment[drivable]
+        if z_m is not None and self.has_levels:
+            level = on_nearest_level(pose, self.map.z_m[segment], z_m[pose])
+            pose, segment = pose[level], segment[level]
+        direction = self.direction[segment]
+        offset = position_m[pose] - self.map.start_m[segment]
+        share = np.clip((offset * direction).sum(-1), 0.0, self.step_m[segment])
+        away = offset - share[:, None] * direction
+        ahead = frames.unit(heading_rad)[pose]
+        cross = direction[:, 0] * ahead[:, 1] - direction[:, 1] * ahead[:, 0]
+        return Near(
+            pose,
+            segment,
+            share,
+            direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0],
+            np.hypot(away[:, 0], away[:, 1]),
+            np.arctan2(cross, (direction * ahead).sum(-1)),
+        )
+
+    def on_lanes(
+        self,
+        position_m: Floats,
+        heading_rad: Floats,
+        reach_m: float,
+        turn_rad: float,
+        z_m: Floats | None = None,
+    ) -> Bools:
+        """(V) poses within reach (at most 8 m) and angle of any drivable lane."""
+        pairs = self.near(position_m, heading_rad, z_m)
+        close = (pairs.apart_m < reach_m) & (np.abs(pairs.turn_rad) < turn_rad)
+        found = np.zeros(len(position_m), bool)
+        found[pairs.pose[close]] = True
+        return found
+
 
 @per_road
 def road_index(road: RoadMap) -> RoadIndex:
@@ -138,6 +238,7 @@ def road_index(road: RoadMap) -> RoadIndex:
         piece_lane=np.repeat(np.arange(len(lanes)), counts),
         pixel_m=pixel,
         pixel_channel=channel,
+        cells=Cells.of(lane_map.start_m),
     )
 
 
@@ -204,10 +305,6 @@ def _dense(points_m: Floats) -> Floats:
     return polylines.resample(points_m, LANE_SPACING_M) if len(points_m) > 1 else points_m
 
 
-_PASSED_M = 3.0
-"""A signal counts until a vehicle is this far past it."""
-
-
 def lane_sequences(
     index: RoadIndex, lane: int, along_m: float, depth_m: float, most: int
 ) -> list[tuple[int, ...]]:
@@ -235,3 +332,185 @@ def first_signal(
             return start, state
         start += float(index.length_m[lane])
     return None
+
+
+def signal_colour(signal: SignalState) -> int:
+    """0 red, 1 yellow, 2 green, 3 unknown."""
+    found = colour(signal)
+    return len(_COLOURS) if found is None else _COLOURS.index(found)
+
+
+LANE_PATHS: Final = 11
+FAN_TURNS_RAD: Final = (0.0, 0.5, -0.5, 1.3, -1.3)
+PATHS: Final = LANE_PATHS + len(FAN_TURNS_RAD)
+NODES: Final = 121
+NODE_SPACING_M: Final = 2.0
+
+_REACH_M = 6.5
+_TURN_RAD = np.deg2rad(52.0)
+_MAX_ROUTES = 48
+_DUPLICATE_M = 1.2
+_NO_STOP_M = 200.0
+_COLOURS: Final[tuple[Colour, ...]] = ("red", "yellow", "green")
+_ALONG = np.arange(NODES) * NODE_SPACING_M
+
+
+class PathInfo(IntEnum):
+    """Columns of ``path_info``.
+
+    OFFSET and TURN of the pose to the start lane; END of the lane graph along the path; the LIMIT,
+    0 where it is unknown; the STOP line ahead, 200 m where there is none, and its signal; DISTANCE
+    to the start lane; the number of LANES.
+    """
+
+    THERE, FAN, OFFSET, TURN, END, LIMIT, STOP = range(7)
+    NO_SIGNAL, RED, YELLOW, GREEN, UNKNOWN, DISTANCE, LANES = range(7, 14)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathSet:
+    """Up to 16 paths in the vehicle's frame; those that are there first, lane paths before the fan.
+
+    Attributes:
+        points_m: (16, 121, 2) every 2 m, straight on past the end of the lane graph.
+        info: (16) of `PathInfo`.
+        lanes: rows of the lanes of each lane path.
+    """
+
+    points_m: Floats
+    info: Floats
+    lanes: tuple[tuple[int, ...], ...]
+
+    @property
+    def valid(self) -> Bools:
+        """(16)."""
+        return self.info[:, PathInfo.THERE] > 0
+
+
+def path_set(
+    index: RoadIndex,
+    position_m: Floats,
+    heading_rad: float,
+    speed_mps: float,
+    signals: dict[str, SignalState],
+    z_m: float | None = None,
+) -> PathSet:
+    """The paths of a vehicle at a pose; see `RoadIndex.feet` for its height."""
+    depth = min(8 * speed_mps + 60.0, 230.0)
+    merge = max(3 * speed_mps, 10.0)
+    routes = _routes(index, position_m, heading_rad, depth, z_m)
+    points = np.zeros((PATHS, NODES, 2))
+    info = np.zeros((PATHS, len(PathInfo)))
+    lanes: list[tuple[int, ...]] = []
+    if routes:
+        lines, ends = _lines(index, routes)
+        lines = _joined(lines, routes, merge)
+        kept = _distinct(lines, int(depth / NODE_SPACING_M))[:LANE_PATHS]
+        local = frames.to_local(lines[kept], position_m, heading_rad)
+        points[: len(kept)] = local
+        for row, pick in enumerate(kept):
+            info[row] = _describe(index, routes[pick], ends[pick], signals)
+            lanes.append(routes[pick][1])
+    count = len(lanes)
+    fan = slice(count, count + len(FAN_TURNS_RAD))
+    points[fan] = _fan(merge)
+    info[fan, [PathInfo.THERE, PathInfo.FAN, PathInfo.NO_SIGNAL]] = 1.0
+    info[fan, PathInfo.STOP] = _NO_STOP_M
+    return PathSet(points_m=points, info=info, lanes=tuple(lanes))
+
+
+Route = tuple[Foot, tuple[int, ...]]
+
+
+def _routes(
+    index: RoadIndex, position_m: Floats, heading_rad: float, depth: float, z_m: float | None
+) -> list[Route]:
+    """Lane sequences from all start lanes, cheapest start first."""
+    feet = index.feet(position_m, heading_rad, _REACH_M, float(_TURN_RAD), z_m)
+    feet.sort(key=lambda foot: foot.distance_m + 4 * abs(foot.turn_rad))
+    routes: list[Route] = []
+    for foot in feet:
+        most = _MAX_ROUTES - len(routes)
+        found = lane_sequences(index, foot.lane, foot.along_m, depth, most)
+        routes += [(foot, lanes) for lanes in found]
+    return routes
+
+
+def _lines(index: RoadIndex, routes: list[Route]) -> tuple[Floats, Floats]:
+    """(R, 121, 2) centre lines from the foot on, and (R) where the lane graph ends."""
+    lines = np.empty((len(routes), NODES, 2))
+    ends = np.empty(len(routes))
+    for row, (foot, lanes) in enumerate(routes):
+        first, *rest = (index.map.line_m[lane] for lane in lanes)
+        spacing = index.length_m[lanes[0]] / (len(first) - 1)
+        at = min(foot.along_m / spacing, len(first) - 1 - 1e-6)
+        base = int(at)
+        start = first[base] + (at - base) * (first[base + 1] - first[base])
+        points = np.concatenate([start[None], first[base + 1 :], *(line[1:] for line in rest)])
+        step = np.diff(points, axis=0)
+        length = np.hypot(step[:, 0], step[:, 1])
+        keep = length > 1e-6
+        direction = step[keep][-1] / length[keep][-1] if keep.any() else np.array([1.0, 0.0])
+        along = np.concatenate([[0.0], np.cumsum(length)])
+        ends[row] = along[-1]
+        points = np.concatenate([points, points[-1:] + 400.0 * direction])
+        along = np.append(along, along[-1] + 400.0)
+        lines[row, :, 0] = np.interp(_ALONG, along, points[:, 0])
+        lines[row, :, 1] = np.interp(_ALONG, along, points[:, 1])
+    return lines, ends
+
+
+def _joined(lines: Floats, routes: list[Route], merge_m: float) -> Floats:
+    """The lines, shifted sideways so that they begin at the pose, with its heading (Hermite)."""
+    left = np.array([foot.left_m for foot, _ in routes])[:, None]
+    slope = np.tan(np.clip([foot.turn_rad for foot, _ in routes], -0.9, 0.9))[:, None]
+    share = np.minimum(_ALONG / merge_m, 1.0)
+    offset = left * (1 + 2 * share) * (1 - share) ** 2
+    offset = offset + merge_m * slope * share * (1 - share) ** 2
+    tangent = np.gradient(lines, axis=1)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)
+    normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
+    return lines + offset[..., None] * normal
+
+
+def _distinct(lines: Floats, nodes: int) -> list[int]:
+    """Rows of lines that are somewhere more than 1.2 m from all rows kept before."""
+    sampled = lines[:, : max(nodes, 2) : 3]
+    kept: list[int] = []
+    for row in range(len(lines)):
+        apart = np.abs(sampled[kept] - sampled[row]).max(axis=(1, 2))
+        if not kept or apart.min() > _DUPLICATE_M:
+            kept.append(row)
+        if len(kept) == LANE_PATHS:
+            break
+    return kept
+
+
+def _describe(
+    index: RoadIndex, route: Route, end_m: float, signals: dict[str, SignalState]
+) -> Floats:
+    """(14) see `PathInfo`."""
+    foot, lanes = route
+    info = np.zeros(len(PathInfo))
+    info[PathInfo.THERE] = 1.0
+    info[PathInfo.OFFSET], info[PathInfo.TURN] = foot.left_m, foot.turn_rad
+    info[PathInfo.END] = min(end_m, _ALONG[-1])
+    info[PathInfo.LIMIT] = index.limit_mps[lanes[0]]
+    info[PathInfo.DISTANCE], info[PathInfo.LANES] = foot.distance_m, len(lanes)
+    stop, signal = _NO_STOP_M, PathInfo.NO_SIGNAL
+    met = first_signal(index, lanes, foot.along_m, signals)
+    if met is not None:
+        stop, signal = min(met[0], _NO_STOP_M), PathInfo(PathInfo.RED + signal_colour(met[1]))
+    info[PathInfo.STOP], info[signal] = stop, 1.0
+    return info
+
+
+def _fan(merge_m: float) -> Floats:
+    """(5, 121, 2) straight on, and arcs that turn by the fan's angles, then go straight."""
+    reach = max(1.5 * merge_m, 18.0)
+    turns = np.array(FAN_TURNS_RAD)[:, None]
+    heading = turns * np.minimum((_ALONG[:-1] + NODE_SPACING_M / 2) / reach, 1.0)
+    steps = NODE_SPACING_M * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    points = np.zeros((len(turns), NODES, 2))
+    points[:, 1:] = np.cumsum(steps, axis=1)
+    return points

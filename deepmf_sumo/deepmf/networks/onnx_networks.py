@@ -16,12 +16,12 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo import files
-from deepmf_sumo.deepmf.networks import raster, weights
-from deepmf_sumo.deepmf.networks.base import OpponentNetwork, TrajectoryNetwork
+from deepmf_sumo.deepmf.networks import encode, weights
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.decoding import GoalSet, Singles
-from deepmf_sumo.deepmf.networks.features import Features
-from deepmf_sumo.deepmf.networks.opponent import OTHERS, SLOTS
+from deepmf_sumo.deepmf.networks.decode import GoalSet, Singles
+from deepmf_sumo.deepmf.networks.encode import Features
+from deepmf_sumo.deepmf.networks.opponent import OTHERS, SLOTS, OpponentNetwork
+from deepmf_sumo.deepmf.networks.predict import TrajectoryNetwork
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import FUTURE_STEPS, Floats
@@ -33,7 +33,7 @@ import onnxruntime
 
 ENCODE, DECODE = "encode", "decode"
 KERNEL: Final = "kernel_m"
-"""Key of a graph's metadata: `base.TrajectoryNetwork.kernel_m`."""
+"""Key of a graph's metadata: `predict.TrajectoryNetwork.kernel_m`."""
 PATHS: Final = ("paths", "path_info", "path_agents")
 """Arrays with a row for each path, whose unused rows are left out."""
 _LARGEST_GRAPH: Final = 2**30
@@ -108,7 +108,7 @@ def _unusable(file: Path, what: str) -> WeightsError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnnxTrajectory:
-    """See `base.TrajectoryNetwork`."""
+    """See `predict.TrajectoryNetwork`."""
 
     preset: Preset
     kernel_m: Singles
@@ -116,7 +116,7 @@ class OnnxTrajectory:
     decode: Graph
 
     def scene_of(self, arrays: Features) -> dict[str, Any]:
-        """See `base.TrajectoryNetwork`."""
+        """See `predict.TrajectoryNetwork`."""
         used = max(int((arrays["path_info"][:, 0] > 0).sum()), 1)
         scene = _batch(arrays, PATHS, used, self.preset)
         return scene | self.encode.run(scene)
@@ -127,7 +127,7 @@ class OnnxTrajectory:
         position_m: Singles | None = None,
         heading_rad: Singles | None = None,
     ) -> GoalSet:
-        """See `base.TrajectoryNetwork`."""
+        """See `predict.TrajectoryNetwork`."""
         there = position_m is not None and heading_rad is not None
         if position_m is None or heading_rad is None:
             position_m = np.zeros((1, FUTURE_STEPS, 2), np.float32)
@@ -148,13 +148,13 @@ class OnnxTrajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnnxOpponent:
-    """See `base.OpponentNetwork`."""
+    """See `opponent.OpponentNetwork`."""
 
     preset: Preset
     graph: Graph
 
     def scored(self, arrays: Features) -> Floats:
-        """See `base.OpponentNetwork`."""
+        """See `opponent.OpponentNetwork`."""
         used = max(int((arrays["vehicle"] > 0).sum()), 1)
         values = _batch(arrays, SLOTS, used, self.preset)
         logits = np.zeros((OTHERS, 2))
@@ -166,5 +166,5 @@ def _batch(arrays: Features, rows: Sequence[str], used: int, preset: Preset) -> 
     """A batch of one scene with the image, and with the used ones of certain arrays' rows."""
     cut: dict[str, Any] = {name: arrays[name][:used] for name in rows if name in arrays}
     if preset.raster:
-        cut["raster"] = raster.unpacked(arrays["raster"].astype(np.uint8), preset)
+        cut["raster"] = encode.unpacked(arrays["raster"].astype(np.uint8), preset)
     return {name: each[None] for name, each in {**arrays, **cut}.items()}

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.features import Features
-from deepmf_sumo.deepmf.networks.opponent import OTHERS, PAIR, SLOTS
-from deepmf_sumo.deepmf.networks.vectornet import VectorNet, as_batch
+from deepmf_sumo.deepmf.networks.densetnt import VectorNet, as_batch
+from deepmf_sumo.deepmf.networks.encode import Features
+from deepmf_sumo.deepmf.networks.opponent import OTHERS, SLOTS, Pair
 from deepmf_sumo.deepmf.networks.vgg import VGG16, unpack
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import Floats
@@ -68,7 +68,7 @@ class Member(nn.Module):
         hidden = preset.hidden
         self.pair, dropout = None, _DROPOUT
         if preset.pairs:
-            self.pair = nn.Sequential(nn.Dropout(_DROPOUT / 2), nn.Linear(PAIR, hidden))
+            self.pair = nn.Sequential(nn.Dropout(_DROPOUT / 2), nn.Linear(len(Pair), hidden))
             dropout = _SCENE_DROPOUT
         added = nn.Linear(3 * hidden, hidden)
         if preset.pairs:
@@ -109,14 +109,14 @@ class OpponentNet(nn.Module):
             raise WeightsError("The opponent network needs 'pairs' or 'vectors' of each vehicle.")
         self.preset = preset
         if preset.pairs:
-            self.scale = nn.BatchNorm1d(PAIR, affine=False, momentum=0.02)
+            self.scale = nn.BatchNorm1d(len(Pair), affine=False, momentum=0.02)
         self.vectors = VectorNet(preset) if preset.vectors else None
         self.image = VGG16(preset) if preset.raster else None
         self.members = nn.ModuleList(Member(preset) for _ in range(MEMBERS))
 
     @torch.inference_mode()
     def scored(self, arrays: Features) -> Floats:
-        """See `base.OpponentNetwork`."""
+        """See `opponent.OpponentNetwork`."""
         device = next(self.parameters()).device
         logits: Floats = self(as_batch(arrays, device)).mean(0)[0].cpu().double().numpy()
         return logits

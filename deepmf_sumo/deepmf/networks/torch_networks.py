@@ -12,13 +12,11 @@ from torch import Tensor, nn
 
 from deepmf_sumo import files
 from deepmf_sumo.deepmf.networks import weights
-from deepmf_sumo.deepmf.networks.base import OpponentNetwork, TrajectoryNetwork
-from deepmf_sumo.deepmf.networks.conditional import Conditional
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
-from deepmf_sumo.deepmf.networks.marginal import Marginal
-from deepmf_sumo.deepmf.networks.opponent import Opponent
+from deepmf_sumo.deepmf.networks.opponent import Opponent, OpponentNetwork
 from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
+from deepmf_sumo.deepmf.networks.predict import Conditional, Marginal, TrajectoryNetwork
 from deepmf_sumo.deepmf.networks.weights import Network, Predictors, broken
 from deepmf_sumo.errors import WeightsError
 

@@ -28,11 +28,9 @@ from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
 from deepmf_sumo import files as files_module
-from deepmf_sumo.deepmf.networks.base import OpponentNetwork, TrajectoryNetwork
-from deepmf_sumo.deepmf.networks.conditional import Conditional
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.marginal import Marginal
-from deepmf_sumo.deepmf.networks.opponent import Opponent
+from deepmf_sumo.deepmf.networks.opponent import Opponent, OpponentNetwork
+from deepmf_sumo.deepmf.networks.predict import Conditional, Marginal, TrajectoryNetwork
 from deepmf_sumo.errors import WeightsError
 
 Network = Literal["opponent", "marginal", "conditional", "strive", "diffscene"]

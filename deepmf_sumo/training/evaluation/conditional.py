@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.deepmf.networks.conditional import Conditional, ConditionalPrediction
+from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction
 from deepmf_sumo.scene import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes

@@ -6,10 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.deepmf.networks.kinematics import recent_change
-from deepmf_sumo.deepmf.networks.lanes import road_index
-from deepmf_sumo.deepmf.networks.marginal import Marginal, MarginalPrediction
-from deepmf_sumo.deepmf.networks.paths import path_set
+from deepmf_sumo.deepmf.networks.encode import recent_change
+from deepmf_sumo.deepmf.networks.lanes import path_set, road_index
+from deepmf_sumo.deepmf.networks.predict import Marginal, MarginalPrediction
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes

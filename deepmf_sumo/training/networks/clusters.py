@@ -87,7 +87,7 @@ class Clusters:
 def fit(future_m: Floats, valid: Bools, motion: Floats, rng: np.random.Generator) -> Clusters:
     """Clusters of futures (N, 80, 2) in each vehicle's frame, valid (N, 80), motion (N, 6).
 
-    ``motion`` is that of `features.Features`: speed first, yaw rate third. Futures that are not
+    ``motion`` is that of `encode.Features`: speed first, yaw rate third. Futures that are not
     known at each half second are left out. Raises RunError if fewer than 32 are left.
     """
     rows = slice(_EVERY - 1, None, _EVERY)

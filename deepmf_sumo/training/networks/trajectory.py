@@ -14,11 +14,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deepmf_sumo.deepmf.networks import anchors, conditioning, decoding, goal_grid, marginal, vgg
-from deepmf_sumo.deepmf.networks.conditioning import Condition
+from deepmf_sumo.deepmf.networks import anchors, condition, decode, vgg
+from deepmf_sumo.deepmf.networks.condition import Condition
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.decoding import KNOT_STEPS, GoalSet, Singles, log_softmax
+from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS, GoalSet, Singles, log_softmax
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals, trimmed
+from deepmf_sumo.deepmf.networks.encode import (
+    POSITION,
+    AgentInfo,
+    AgentState,
+    LaneInfo,
+    OwnMotion,
+    PathAgent,
+)
+from deepmf_sumo.deepmf.networks.lanes import PathInfo
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.training.fit.loop import Loss, in_batches
 from deepmf_sumo.training.networks import clusters
@@ -41,12 +50,12 @@ LANE_DROPPED: Final = 0.05
 POSITION_NOISE_M: Final = 0.03
 HEADING_NOISE_RAD: Final = 0.01
 _LEFT_COLUMNS: Final = {
-    "agents": (1, 3, 5),
+    "agents": (AgentState.Y, AgentState.SIN, AgentState.VY),
     "lanes": (1,),
     "paths": (1,),
-    "path_info": (2, 3),
-    "path_agents": (1, 3, 5),
-    "motion": (2,),
+    "path_info": (PathInfo.OFFSET, PathInfo.TURN),
+    "path_agents": (PathAgent.LEFT, PathAgent.SPEED_LEFT, PathAgent.SIN),
+    "motion": (OwnMotion.YAW_RATE,),
     "future": (1,),
     "partner": (1, 2),
 }
@@ -61,7 +70,7 @@ def fit_profiles(net: DenseTNT, dataset: Dataset, seed: int) -> None:
     known = rows[np.asarray(dataset.arrays["future_valid"][rows]).all(1)]
     table = clusters.speed_profiles(
         np.asarray(dataset.arrays["driven"][known], float),
-        np.asarray(dataset.arrays["motion"][known, 0], float),
+        np.asarray(dataset.arrays["motion"][known, OwnMotion.SPEED], float),
         net.preset.profiles,
         np.random.default_rng([seed, 1]),
     )
@@ -99,7 +108,7 @@ def partner_condition(
     if generator is not None:
         keep = torch.rand(len(given), generator=generator) < _GIVEN
         given = given * keep.to(given.device)
-    return conditioning.encode(position[:, None], heading[:, None], given[:, None], preset)
+    return condition.Condition.of(position[:, None], heading[:, None], given[:, None], preset)
 
 
 def _given(net: DenseTNT, batch: dict[str, Tensor]) -> Condition | None:
@@ -132,7 +141,7 @@ def fit_temperature(
         for each, true in zip(
             zip(*members, strict=True), batch["future"][:, -1].cpu(), strict=True
         ):
-            nll += _negative_log_likelihoods(marginal.pooled(each), true.numpy(), modes)
+            nll += _negative_log_likelihoods(decode.pooled(each), true.numpy(), modes)
     return float(_TEMPERATURES[nll.argmin()])
 
 
@@ -140,11 +149,11 @@ def _negative_log_likelihoods(goals: GoalSet, end_m: Singles, modes: int) -> Flo
     """(T) of the mode nearest to a true end (2), at all temperatures."""
     logits, ends = goals.logits[0].reshape(1, -1), goals.ends()
     likely = np.exp(log_softmax(logits)).reshape(goals.logits.shape)
-    chosen, _ = decoding.select(likely, ends, modes, block=goals.block)
+    chosen, _ = decode.select(likely, ends, modes, block=goals.block)
     at = ends[:, chosen[0]]  # (1, M, 2)
     nearest = np.hypot(*(at[0] - end_m).T).argmin()
     warm = [np.exp(log_softmax(logits / np.float32(one))) for one in _TEMPERATURES]
-    mass = np.array([decoding.mass(one, ends, at)[0, nearest] for one in warm])
+    mass = np.array([decode.mass(one, ends, at)[0, nearest] for one in warm])
     return -np.log(np.maximum(mass.astype(np.float64), 1e-4))
 
 
@@ -173,13 +182,13 @@ def dense_loss(
     `mixture_loss`. Goals are drawn, `DRAWN` of each path, and count for those that were not.
     """
     batch = trimmed(batch)
-    paths, exists = batch["paths"], batch["path_info"][..., 0] > 0
+    paths, exists = batch["paths"], batch["path_info"][..., PathInfo.THERE] > 0
     known = batch["future_valid"][:, -1] > 0
-    every = goal_grid.every(paths, exists, batch["motion"][:, 0])
-    true, path = goal_grid.nearest(paths, every, batch["future"][:, -1])
+    every = anchors.every(paths, exists, batch["motion"][:, OwnMotion.SPEED])
+    true, path = anchors.nearest(paths, every, batch["future"][:, -1])
     mine = torch.arange(paths.shape[1], device=paths.device) == path.unsqueeze(1)  # (B, P)
     true = replace(true, there=true.there & (mine & known.unsqueeze(1)).unsqueeze(2))
-    goals = net(batch, given, goal_grid.joined(true, goal_grid.drawn(every, DRAWN, generator)))
+    goals = net(batch, given, anchors.joined(true, anchors.drawn(every, DRAWN, generator)))
     knots = list(KNOT_STEPS)
     valid = batch["future_valid"][:, None, knots]
     density = net.log_density(goals, batch["future"][:, None, knots], valid)[:, 0]  # (B, P, R)
@@ -219,9 +228,9 @@ def mirrored(batch: dict[str, Tensor], rows: Tensor, preset: Preset) -> dict[str
 def _dropped(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
     """Without random agents and pieces of lanes, which stay in the image."""
     for states, info, share, column, first in (
-        ("agents", "agent_info", AGENT_DROPPED, 7, 1),
-        ("lanes", "lane_info", LANE_DROPPED, 9, 0),
-        ("path_agents", "path_agents", AGENT_DROPPED, 7, 0),
+        ("agents", "agent_info", AGENT_DROPPED, AgentInfo.THERE, 1),
+        ("lanes", "lane_info", LANE_DROPPED, LaneInfo.THERE, 0),
+        ("path_agents", "path_agents", AGENT_DROPPED, PathAgent.THERE, 0),
     ):
         there = batch[info][..., column]
         keep = ~_drawn(there.shape, share, generator, there.device)
@@ -239,12 +248,12 @@ def _noisy(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Te
     shape = (*agents.shape[:2], 1)
     shift = torch.randn(*shape, 2, generator=generator).to(agents.device) * POSITION_NOISE_M
     turn = torch.randn(*shape, generator=generator).to(agents.device) * HEADING_NOISE_RAD
-    there = agents[..., 6]
+    there = agents[..., AgentState.SEEN]
     shift[:, 0], turn[:, 0] = 0.0, 0.0
-    agents[..., 0:2] += shift * there.unsqueeze(-1)
-    cos, sin = agents[..., 2].clone(), agents[..., 3].clone()
-    agents[..., 2] = cos * turn.cos() - sin * turn.sin()
-    agents[..., 3] = sin * turn.cos() + cos * turn.sin()
+    agents[..., POSITION] += shift * there.unsqueeze(-1)
+    cos, sin = agents[..., AgentState.COS].clone(), agents[..., AgentState.SIN].clone()
+    agents[..., AgentState.COS] = cos * turn.cos() - sin * turn.sin()
+    agents[..., AgentState.SIN] = sin * turn.cos() + cos * turn.sin()
     batch["agents"] = agents
     return batch
 

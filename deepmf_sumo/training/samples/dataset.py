@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deepmf_sumo.deepmf.networks.encode import OwnMotion
+from deepmf_sumo.deepmf.networks.lanes import PathInfo
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.training.samples.places import Area, held_out
@@ -199,7 +201,7 @@ def _chosen(dataset: Dataset, rows: NDArray[np.bool_], lacks: str) -> Dataset:
 
 def _by_people(dataset: Dataset) -> NDArray[np.bool_]:
     """(N) samples of vehicles with a human driver."""
-    driver = np.asarray(dataset.arrays["motion"])[:, 6]
+    driver = np.asarray(dataset.arrays["motion"])[:, OwnMotion.PLANNER]
     return np.asarray(driver == 0.0)
 
 
@@ -273,5 +275,5 @@ def _paths_used(dataset: Dataset) -> NDArray[np.int64] | None:
     paths = dataset.arrays.get("path_info")
     if paths is None:
         return None
-    used: NDArray[np.int64] = (paths[:, :, 0] > 0).sum(1)
+    used: NDArray[np.int64] = (paths[:, :, PathInfo.THERE] > 0).sum(1)
     return used

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.features import MEANING, features
+from deepmf_sumo.deepmf.networks.encode import MEANING, features
 from deepmf_sumo.scene import FUTURE_STEPS, ROLLOUT, SIMULATED, Floats, Scene, View
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.training.samples import windows
@@ -40,7 +40,7 @@ def features_for(preset: Preset) -> Features:
 def trajectory_samples(scene: Scene, preset: Preset) -> Iterator[Arrays]:
     """Features of each target in each window, its future and its partner's.
 
-    Added to `features.Features`: future (80, 2), future_valid (80), driven (80) m along the path,
+    Added to `encode.Features`: future (80, 2), future_valid (80), driven (80) m along the path,
     partner (80, 3) x, y, heading, partner_known () 0 or 1; futures in the target's frame.
     """
     preset = replace(preset, raster=True)  # networks without the image share the features

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import car_following, conditioning
-from deepmf_sumo.deepmf.networks.car_following import Road
+from deepmf_sumo.deepmf.networks import condition
+from deepmf_sumo.deepmf.networks.condition import Following, OnPaths, Road
 from deepmf_sumo.deepmf.networks.config import VECTOR
+from deepmf_sumo.deepmf.networks.encode import span
 
 STRAIGHT = torch.stack([torch.arange(121) * 2.0, torch.zeros(121)], -1)
 
@@ -30,14 +31,19 @@ def given(x, y, heading=0.0):
     position[..., 0] = torch.as_tensor(x, dtype=torch.float32)
     position[..., 1] = torch.as_tensor(y, dtype=torch.float32)
     turned = torch.full((1, 1, 80), heading)
-    return conditioning.encode(position, turned, torch.ones(1, 1), VECTOR)
+    return condition.Condition.of(position, turned, torch.ones(1, 1), VECTOR)
 
 
 FAR = given(0.0, 500.0)
 
 
+def followed(road, futures):
+    on_paths = OnPaths.of(road.paths, futures.position_m)
+    return condition.followed(road, futures, on_paths)[0, :, 0]
+
+
 def driven(road, future):
-    return car_following.followed(road, future)[0, 0, 0].numpy()
+    return followed(road, future)[0].numpy()
 
 
 def test_with_nobody_ahead_it_gathers_speed_up_to_the_limit():
@@ -83,20 +89,22 @@ def test_goals_are_compared_with_it_at_all_times():
     future = given(60.0, 0.0)
     same = torch.from_numpy(driven(road(), future))
     goals = torch.stack([same, same + torch.arange(1, 17)])[None, None]  # (1, 1, 2, 16)
-    found = car_following.relations(road(), goals, future)[0, 0, 0]
-    assert found.shape == (2, car_following.FOLLOWING)
+    on_paths = OnPaths.of(STRAIGHT[None, None], future.position_m)
+    found = condition.following(road(), goals, future, on_paths)[0, 0, 0]
+    assert found.shape == (2, len(Following))
     assert found[0].tolist() == pytest.approx([0, 0, 0, 0, 1, 1], abs=1e-5)
-    assert found[1, :4].tolist() == pytest.approx([0.4, 0.8, 1.2, 1.6], abs=1e-5)
-    assert found[1, 4] < found[1, 5] < 1.0
+    leads = found[1, span(Following.LEAD_2, Following.LEAD_8)]
+    assert leads.tolist() == pytest.approx([0.4, 0.8, 1.2, 1.6], abs=1e-5)
+    assert found[1, Following.CLOSE] < found[1, Following.NEAR] < 1.0
 
 
 def test_each_future_has_a_follower_of_its_own():
-    both = conditioning.encode(
+    both = condition.Condition.of(
         torch.cat([given(60.0, 0.0).position_m, FAR.position_m], 1),
         torch.zeros(1, 2, 80),
         torch.ones(1, 2),
         VECTOR,
     )
-    along = car_following.followed(road(), both)[0, :, 0]
+    along = followed(road(), both)
     assert along[0].numpy() == pytest.approx(driven(road(), given(60.0, 0.0)), abs=1e-4)
     assert along[1].numpy() == pytest.approx(driven(road(), FAR), abs=1e-4)

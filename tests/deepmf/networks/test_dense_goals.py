@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import decoding, goal_grid, torch_networks
+from deepmf_sumo.deepmf.networks import anchors, decode, torch_networks
 from deepmf_sumo.deepmf.networks.anchors import placed
 from deepmf_sumo.deepmf.networks.config import DENSE
-from deepmf_sumo.deepmf.networks.decoding import KNOT_STEPS
-from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, trimmed
-from deepmf_sumo.deepmf.networks.features import features
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
+from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, as_batch, trimmed
+from deepmf_sumo.deepmf.networks.encode import features
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import FUTURE_STEPS
 from deepmf_sumo.training import onnx_graphs
@@ -29,7 +28,7 @@ def straight_paths(*turns):
 
 def grid_of(paths, speed=10.0):
     exists = torch.ones(paths.shape[:2], dtype=torch.bool)
-    return goal_grid.every(paths, exists, torch.tensor([speed]))
+    return anchors.every(paths, exists, torch.tensor([speed]))
 
 
 def test_goals_are_a_metre_apart_and_belong_to_one_path():
@@ -56,11 +55,11 @@ def test_a_vehicle_at_rest_has_no_goals_beside_it():
 def test_goals_are_reached_on_time_and_never_backwards():
     along = torch.tensor([[[0.0, 5.0, 39.9, 40.0, 80.0, 140.0]]])
     for speed in (0.0, 10.0, 30.0):
-        driven = goal_grid.driven(along, torch.tensor([speed]))[0, 0]
+        driven = anchors.driven(along, torch.tensor([speed]))[0, 0]
         assert driven[:, -1].tolist() == pytest.approx(along.flatten().tolist(), abs=1e-3)
         assert torch.diff(driven, dim=-1).min() > -1e-4
     # constant acceleration from 10 m/s to 80 m in 8 s is no acceleration
-    ten = goal_grid.driven(along, torch.tensor([10.0]))[0, 0, 4]
+    ten = anchors.driven(along, torch.tensor([10.0]))[0, 0, 4]
     assert ten[9::10].tolist() == pytest.approx([10, 20, 30, 40, 50, 60, 70, 80])
 
 
@@ -69,7 +68,7 @@ def test_the_nearest_goal_is_the_nearest_of_all():
     grid = grid_of(paths)
     place, _ = placed(paths, grid.along_m, grid.left_m)
     for end in ([57.3, 1.2], [31.0, 13.9], [80.4, -55.0], [0.3, 0.2]):
-        found, path = goal_grid.nearest(paths, grid, torch.tensor([end]))
+        found, path = anchors.nearest(paths, grid, torch.tensor([end]))
         off = (place[0] - torch.tensor(end)).norm(dim=-1).masked_fill(~grid.there[0], np.inf)
         row = int(path)
         mine, _ = placed(paths, found.along_m, found.left_m)
@@ -79,7 +78,7 @@ def test_the_nearest_goal_is_the_nearest_of_all():
 
 def test_drawn_goals_stand_for_all_of_their_path():
     grid = grid_of(straight_paths(0.0, 0.5))
-    drawn = goal_grid.drawn(grid, 64, torch.Generator().manual_seed(0))
+    drawn = anchors.drawn(grid, 64, torch.Generator().manual_seed(0))
     for path in (0, 1):
         own = grid.there[0, path]
         every = grid.along_m[0, path][own].tolist(), grid.left_m[0, path][own].tolist()
@@ -106,7 +105,7 @@ def test_completed_goals_end_where_they_lie(batch):
         goals = net(batch)
     (found,) = goals.sets()
     likely = np.argsort(-found.logits[0].ravel())[:50]
-    position, _ = decoding.complete(found, likely[None])
+    position, _ = decode.complete(found, likely[None])
     assert position.shape == (1, 50, FUTURE_STEPS, 2)
     assert np.abs(position[0, :, -1] - found.ends()[0, likely]).max() < 1e-3
     assert np.abs(found.knots[0, ..., -1, 0]).max() == 0.0
@@ -118,7 +117,7 @@ def test_completed_goals_end_where_they_lie_whatever_the_residuals(batch):
     with torch.no_grad():
         (found,) = net(batch).sets()
     every = np.flatnonzero(np.isfinite(found.logits[0].ravel()))
-    position, _ = decoding.complete(found, every[None])
+    position, _ = decode.complete(found, every[None])
     assert np.abs(position[0, :, -1] - found.ends()[0, every]).max() < 1e-3
 
 
@@ -162,9 +161,9 @@ def test_the_loss_agrees_with_all_goals(batch):
         paths, exists = batch["paths"], batch["path_info"][..., 0] > 0
         cut = trimmed(known)
         paths, exists = cut["paths"], cut["path_info"][..., 0] > 0
-        grid = goal_grid.every(paths, exists, batch["motion"][:, 0])
+        grid = anchors.every(paths, exists, batch["motion"][:, 0])
         goals = net(batch, None, grid)
-        true, path = goal_grid.nearest(paths, grid, future[:, -1])
+        true, path = anchors.nearest(paths, grid, future[:, -1])
         slot = (grid.along_m[0, path] == true.along_m[0, path]) & (
             grid.left_m[0, path] == true.left_m[0, path]
         )
@@ -188,7 +187,7 @@ def test_training_learns_where_a_vehicle_goes(batch):
         with torch.no_grad():
             (found,) = net.eval()(batch).sets()
         off = np.hypot(*(found.ends()[0] - future[0, -1].numpy()).T)
-        return float(np.exp(decoding.log_softmax(found.logits[0].ravel()))[off < 15.0].sum())
+        return float(np.exp(decode.log_softmax(found.logits[0].ravel()))[off < 15.0].sum())
 
     before = near()
     optimiser = torch.optim.AdamW(net.train().parameters(), 3e-3)

@@ -8,7 +8,7 @@ import torch
 
 from deepmf_sumo.deepmf.networks import torch_networks
 from deepmf_sumo.deepmf.networks.config import LIGHT
-from deepmf_sumo.deepmf.networks.features import features
+from deepmf_sumo.deepmf.networks.encode import features
 from deepmf_sumo.scene import Futures
 
 from tests.support.synthetic import view

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import anchors, conditioning, decoding
+from deepmf_sumo.deepmf.networks import anchors, condition, decode
+from deepmf_sumo.deepmf.networks.condition import GoalRelation, OnPaths, PathRelation
 from deepmf_sumo.deepmf.networks.config import LIGHT, PAPER
 from deepmf_sumo.deepmf.networks.vgg import draw_future
 from deepmf_sumo.errors import RunError
@@ -50,8 +51,8 @@ def test_profiles_between_start_speeds_and_never_backwards():
 
 
 def test_residuals_pass_their_knots_and_start_flat():
-    curve = np.array([1.0, 2.0, 4.0, 6.0, 8.0]) @ decoding.knot_matrix()
-    assert curve[list(decoding.KNOT_STEPS)].tolist() == pytest.approx([1, 2, 4, 6, 8], abs=1e-5)
+    curve = np.array([1.0, 2.0, 4.0, 6.0, 8.0]) @ decode.knot_matrix()
+    assert curve[list(decode.KNOT_STEPS)].tolist() == pytest.approx([1, 2, 4, 6, 8], abs=1e-5)
     assert curve[0] < 0.02
     assert np.diff(curve).min() > 0
 
@@ -59,13 +60,13 @@ def test_residuals_pass_their_knots_and_start_flat():
 def test_medoids_cover_and_masses_sum_to_one():
     ends = np.array([[[0.0, 0], [1, 0], [50, 0], [51, 0], [100, 0]]], np.float32)
     weight = np.array([[0.3, 0.25, 0.2, 0.15, 0.1]], np.float32)
-    chosen, mass = decoding.select(weight[:, None], ends, 3)
+    chosen, mass = decode.select(weight[:, None], ends, 3)
     assert chosen.tolist() == [[0, 2, 4]]
     assert mass.flatten().tolist() == pytest.approx([0.55, 0.35, 0.1])
 
 
 def expected(weight, ends, chosen):
-    apart = np.minimum(np.hypot(*(ends[:, None] - ends).T), decoding.CAP_M)
+    apart = np.minimum(np.hypot(*(ends[:, None] - ends).T), decode.CAP_M)
     return float((weight * apart[chosen].min(0)).sum())
 
 
@@ -75,7 +76,7 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
     ends = rng.random((14, 2), np.float32) * 60
     weight = np.exp(rng.random(14, np.float32))
     weight /= weight.sum()
-    chosen, _ = decoding.select(weight[None, None], ends[None], 3)
+    chosen, _ = decode.select(weight[None, None], ends[None], 3)
     found = expected(weight, ends, chosen[0])
     every = [list(rows) for rows in itertools.combinations(range(14), 3)]
     assert found < 1.05 * min(expected(weight, ends, rows) for rows in every)
@@ -83,14 +84,14 @@ def test_medoids_are_nearly_the_best_of_all_choices(seed):
 
 def test_a_first_medoid_between_two_groups_moves_into_one():
     ends = np.array([[[0.0, 0], [10, 0], [20, 0]]], np.float32)
-    chosen, mass = decoding.select(np.array([[[0.35, 0.3, 0.35]]], np.float32), ends, 2)
+    chosen, mass = decode.select(np.array([[[0.35, 0.3, 0.35]]], np.float32), ends, 2)
     assert sorted(chosen[0].tolist()) == [0, 2]
     assert mass.sum() == pytest.approx(1.0)
 
 
 def test_too_many_modes_are_refused():
     with pytest.raises(RunError, match="9 modes"):
-        decoding.select(np.ones((1, 1, 4)) / 4, np.zeros((1, 4, 2)), 9)
+        decode.select(np.ones((1, 1, 4)) / 4, np.zeros((1, 4, 2)), 9)
 
 
 @pytest.mark.parametrize("preset", [LIGHT, PAPER])
@@ -107,6 +108,10 @@ def test_a_future_is_drawn_where_it_goes(preset):
     assert not torch.equal(draw_future(moved, preset)[0], image[0])
 
 
+def relations(paths, along, other):
+    return condition.relations(paths, along, other, OnPaths.of(paths, other))
+
+
 def test_relations_know_who_comes_first():
     along = torch.zeros(1, 1, 2, 16)
     along[0, 0, 0] = torch.arange(1, 17) * 5.0  # fast: at 40 m after 4 s
@@ -114,15 +119,15 @@ def test_relations_know_who_comes_first():
     other = torch.zeros(1, 1, 80, 2)
     other[..., 0] = 40.0
     other[..., 1] = torch.linspace(-29.0, 50.0, 80)  # crosses at 3 s
-    path, goal = conditioning.relations(straight_path(), along, other)
-    assert path[0, 0, 0, 1] == 1.0  # they meet
-    assert path[0, 0, 0, 4] == pytest.approx(40 / 50, abs=0.05)
-    assert abs(float(path[0, 0, 0, 5])) < 0.01  # at a right angle
+    path, goal = relations(straight_path(), along, other)
+    assert path[0, 0, 0, PathRelation.MET] == 1.0  # they meet
+    assert path[0, 0, 0, PathRelation.PLACE] == pytest.approx(40 / 50, abs=0.05)
+    assert abs(float(path[0, 0, 0, PathRelation.COS])) < 0.01  # at a right angle
     fast, slow = goal[0, 0, 0]
-    assert fast[9] == 1.0
-    assert slow[9] == 0.0
-    assert fast[7] > 0  # arrives after the other entered
-    assert slow[7] > fast[7]
+    assert fast[GoalRelation.REACHES] == 1.0
+    assert slow[GoalRelation.REACHES] == 0.0
+    assert fast[GoalRelation.AFTER] > 0  # arrives after the other entered
+    assert slow[GoalRelation.AFTER] > fast[GoalRelation.AFTER]
 
 
 def test_a_leader_is_ahead_and_who_is_beside_the_path_is_not_on_it():
@@ -130,17 +135,17 @@ def test_a_leader_is_ahead_and_who_is_beside_the_path_is_not_on_it():
     other = torch.zeros(1, 2, 80, 2)
     other[0, 0, :, 0] = 30.0 + torch.arange(1, 81)  # the same speed, 30 m ahead
     other[0, 1] = other[0, 0] + torch.tensor([0.0, 8.0])
-    _, goal = conditioning.relations(straight_path(), along, other)
-    assert goal[0, 0, 0, 0, 11:].tolist() == pytest.approx([1.5] * 4, abs=0.06)
-    assert goal[0, 1, 0, 0, 11:].tolist() == [0.0] * 4
+    _, goal = relations(straight_path(), along, other)
+    assert goal[0, 0, 0, 0, GoalRelation.LEAD_2 :].tolist() == pytest.approx([1.5] * 4, abs=0.06)
+    assert goal[0, 1, 0, 0, GoalRelation.LEAD_2 :].tolist() == [0.0] * 4
 
 
 def test_numbers_are_finite_for_a_standing_other():
     along = torch.ones(1, 1, 2, 16)
-    path, goal = conditioning.relations(straight_path(), along, torch.zeros(1, 3, 80, 2))
+    path, goal = relations(straight_path(), along, torch.zeros(1, 3, 80, 2))
     assert bool(torch.isfinite(path).all())
     assert bool(torch.isfinite(goal).all())
-    assert np.prod(goal.shape) == 3 * 2 * 15
+    assert np.prod(goal.shape) == 3 * 2 * len(GoalRelation)
 
 
 def test_braking_profiles_stop_and_hold():

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.deepmf.networks import decoding, marginal, torch_networks
+from deepmf_sumo.deepmf.networks import decode, predict, torch_networks
 from deepmf_sumo.deepmf.networks.config import LIGHT
-from deepmf_sumo.deepmf.networks.decoding import log_softmax
-from deepmf_sumo.deepmf.networks.features import features
-from deepmf_sumo.deepmf.networks.kinematics import pose_of
-from deepmf_sumo.deepmf.networks.marginal import Marginal
+from deepmf_sumo.deepmf.networks.decode import log_softmax
+from deepmf_sumo.deepmf.networks.encode import features, pose_of
+from deepmf_sumo.deepmf.networks.predict import Marginal
 
 from tests.support.synthetic import view
 
@@ -38,8 +37,8 @@ def shares_of(goals):
 
 def test_members_have_equal_mass_and_one_is_as_it_is(nets):
     members = goals_of(nets)
-    assert marginal.pooled(members[:1]) is members[0]
-    whole = marginal.pooled(members)
+    assert decode.pooled(members[:1]) is members[0]
+    whole = decode.pooled(members)
     paths = members[0].logits.shape[1]
     share = shares_of(whole)
     assert share[:, :paths].sum() == pytest.approx(0.5, abs=1e-5)
@@ -50,7 +49,7 @@ def test_members_have_equal_mass_and_one_is_as_it_is(nets):
 def test_modes_are_goals_of_either_member(nets):
     pose, members = pose_of(view(), "av"), goals_of(nets)
     everything = [
-        decoding.to_scene(pose, *decoding.complete(goals, np.arange(goals.logits.size)[None]))[0][0]
+        decode.to_scene(pose, *decode.complete(goals, np.arange(goals.logits.size)[None]))[0][0]
         for goals in members
     ]
     modes = Marginal(nets, 1.0).predict(view(), "av").modes(16).futures.position_m
@@ -107,7 +106,7 @@ def test_features_are_computed_once_for_all(nets, monkeypatch):
         asked.append(agent_id)
         return features(seen, agent_id, preset)
 
-    monkeypatch.setattr(marginal, "features", counted)
+    monkeypatch.setattr(predict, "features", counted)
     both = Marginal(nets, 1.0)
     prediction = both.predict(view(), "av")
     prediction.log_density(prediction.modes(6).futures.position_m)

@@ -4,22 +4,34 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import kinematics, torch_networks
+from deepmf_sumo.deepmf.networks import torch_networks
 from deepmf_sumo.deepmf.networks.config import LIGHT, UNPAIRED
+from deepmf_sumo.deepmf.networks.densetnt import as_batch
+from deepmf_sumo.deepmf.networks.lanes import road_index
 from deepmf_sumo.deepmf.networks.opponent import (
     OTHERS,
-    PAIR,
+    SPACING_M,
     Opponent,
+    Pair,
+    lane_routes,
     opponent_features,
+    pair_columns,
     surroundings,
 )
-from deepmf_sumo.deepmf.networks.route_relations import MEETING, lane_columns
-from deepmf_sumo.deepmf.networks.routes import SPACING_M, lane_routes, on_lanes
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
 from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import SignalState
 
 from tests.support.synthetic import crossing, scene, view
+
+
+def pair(seen, agent_id):
+    """What is known of a vehicle and the AV, by column."""
+    around = surroundings(seen)
+    row, count = around.ids(seen).index(agent_id), around.vehicles
+    return {
+        column: float(np.broadcast_to(values, count)[row])
+        for column, values in pair_columns(seen, around).items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -71,37 +83,47 @@ def test_a_road_without_lanes_has_no_routes():
     road = replace(crossing(), lanes={})
     found = lane_routes(road, *poses(seen, "av", "south"), {})
     assert len(found.owner) == 0
-    assert not on_lanes(road, *poses(seen, "av", "south")[:2], 2.0, 0.7).any()
+    assert not road_index(road).on_lanes(*poses(seen, "av", "south")[:2], 2.0, 0.7).any()
 
 
 def test_who_stands_across_a_lane_is_not_on_it():
     place = np.array([[-50.0, 1.0], [-50.0, 1.0], [-50.0, 3.0], [900.0, 900.0]])
     heading = np.array([0.1, 1.5, 0.0, 0.0])
-    assert on_lanes(crossing(), place, heading, 2.0, 0.7).tolist() == [True, False, False, False]
+    found = road_index(crossing()).on_lanes(place, heading, 2.0, 0.7)
+    assert found.tolist() == [True, False, False, False]
 
 
 def test_ways_at_constant_velocity_meet_where_they_do():
     seen = view(scene(shift=0.0))
-    rows = np.array([seen.history.row(each) for each in ("av", "south")])
-    columns = kinematics.constant_columns(kinematics.motion_of(seen, rows))
-    same, when, least, own_time, ego_time, _ = columns[0, :6]
-    assert same == pytest.approx(0.0, abs=1e-6)  # both are at the crossing after 5 s
-    assert when == own_time == ego_time == pytest.approx(10 / 16)
-    assert least == pytest.approx(0.0, abs=1e-6)
-    own_way, ego_way, *_, crosses = columns[0, 12:]
-    assert (own_way, ego_way, crosses) == pytest.approx((45 / 50, 1.0, 1.0))
+    south = pair(seen, "south")
+    assert south[Pair.STRAIGHT_SAME] == pytest.approx(0.0, abs=1e-6)
+    times = Pair.STRAIGHT_SAME_TIME, Pair.STRAIGHT_TIME, Pair.STRAIGHT_AV_TIME
+    assert [south[each] for each in times] == pytest.approx([10 / 16] * 3)  # at the crossing, 5 s
+    assert south[Pair.STRAIGHT_LEAST] == pytest.approx(0.0, abs=1e-6)
+    ways = south[Pair.RAY_AHEAD], south[Pair.RAY_AV_AHEAD], south[Pair.RAY_CROSSES]
+    assert ways == pytest.approx((45 / 50, 1.0, 1.0))
 
 
 def test_routes_that_cross_meet_at_the_crossing():
     seen = view()
-    rows = np.array([seen.history.row(each) for each in ("av", "south", "parked")])
-    columns = lane_columns(seen, rows, kinematics.motion_of(seen, rows))[:, MEETING]
-    apart, own, ego, *_, sin, met, own_there, ego_there = columns[0]
-    assert apart * 10 < 2.5
-    assert own * 50 == pytest.approx(45, abs=SPACING_M)
-    assert ego * 50 == pytest.approx(50, abs=SPACING_M)
-    assert (sin, met, own_there, ego_there) == pytest.approx((1, 1, 1, 1), abs=1e-6)
-    assert columns[1, 8] == 0  # the parked one has no route
+    south = pair(seen, "south")
+    assert south[Pair.MEETING_LEAST] * 10 < 2.5
+    assert south[Pair.MEETING_AHEAD] * 50 == pytest.approx(45, abs=SPACING_M)
+    assert south[Pair.MEETING_AV_AHEAD] * 50 == pytest.approx(50, abs=SPACING_M)
+    flags = Pair.MEETING_SIN, Pair.MEETING_MET, Pair.MEETING_SOON, Pair.MEETING_AV_SOON
+    assert [south[each] for each in flags] == pytest.approx([1.0] * 4, abs=1e-6)
+    assert pair(seen, "parked")[Pair.MEETING_MET] == 0  # it has no route
+
+
+def test_columns_of_pairs_have_one_name_each_and_are_all_made():
+    seen = view()
+    made = pair_columns(seen, surroundings(seen))
+    assert set(Pair) - set(made) == {Pair.STANDS_IN, Pair.KNOWN}
+    assert list(Pair) == list(range(112))  # weights of before read them in this order
+    arrays, around = opponent_features(seen, LIGHT)
+    for column, values in made.items():
+        wanted = np.broadcast_to(values, around.vehicles).astype(np.float32)
+        assert arrays["pair"][: around.vehicles, column].tolist() == wanted.tolist(), column
 
 
 def test_vehicles_come_first_and_the_nearest_before_others():
@@ -112,7 +134,7 @@ def test_vehicles_come_first_and_the_nearest_before_others():
     assert seen.history.ids[around.rows[4]] == "walker"
     arrays, _ = opponent_features(seen, LIGHT)
     assert arrays["vehicle"].sum() == 3
-    assert arrays["pair"].shape == (OTHERS, PAIR)
+    assert arrays["pair"].shape == (OTHERS, len(Pair))
     assert not arrays["pair"][3:].any()
 
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.deepmf.networks.lanes import road_index
-from deepmf_sumo.deepmf.networks.paths import NODE_SPACING_M, path_set
+from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M, path_set, road_index
 from deepmf_sumo.scene import RoadMap, SignalState
 
 from tests.support.synthetic import crossing, lane, straight

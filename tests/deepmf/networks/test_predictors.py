@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import conditioning, decoding, raster, torch_networks
+from deepmf_sumo.deepmf.networks import condition, decode, encode, torch_networks
+from deepmf_sumo.deepmf.networks.condition import OnPaths, PathRelation
 from deepmf_sumo.deepmf.networks.config import LIGHT, PAPER
-from deepmf_sumo.deepmf.networks.features import features, lane_arrays
-from deepmf_sumo.deepmf.networks.kinematics import pose_of
+from deepmf_sumo.deepmf.networks.densetnt import as_batch
+from deepmf_sumo.deepmf.networks.encode import features, lane_arrays, pose_of
 from deepmf_sumo.deepmf.networks.lanes import ROAD_CHANNELS, road_index
-from deepmf_sumo.deepmf.networks.marginal import Marginal
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
+from deepmf_sumo.deepmf.networks.predict import Marginal
 from deepmf_sumo.deepmf.networks.vgg import unpack
 from deepmf_sumo.scene import Futures, RoadMap
 
@@ -84,9 +84,9 @@ def test_modes_spread_wider_where_the_temperature_says_that_tails_are_likelier(o
 def test_modes_chosen_at_a_step_are_nearer_there_to_what_may_happen(opinionated):
     marginal = Marginal([opinionated], 1.0)
     goals = opinionated.goals_of(opinionated.scene_of(features(view(), "av", LIGHT)[0]))
-    probability = np.exp(decoding.log_softmax(goals.logits.ravel()))
-    every = decoding.complete(goals, np.arange(len(probability))[None])
-    all_m = decoding.to_scene(pose_of(view(), "av"), *every)[0][0, :, 29]
+    probability = np.exp(decode.log_softmax(goals.logits.ravel()))
+    every = decode.complete(goals, np.arange(len(probability))[None])
+    all_m = decode.to_scene(pose_of(view(), "av"), *every)[0][0, :, 29]
 
     def expected_error(chosen_at):
         found = marginal.predict(view(), "av").modes(6, chosen_at=chosen_at)
@@ -132,9 +132,9 @@ def test_the_given_future_acts_through_each_path_alone(predictors, path):
     pose = pose_of(view(), "av")
 
     def encoded(futures):
-        local = decoding.to_pose(pose, futures)
+        local = decode.to_pose(pose, futures)
         position, heading = (torch.from_numpy(one)[None] for one in local)
-        return conditioning.encode(position, heading, torch.ones(1, 1), LIGHT)
+        return condition.Condition.of(position, heading, torch.ones(1, 1), LIGHT)
 
     with torch.inference_mode():
         base = encoded(southern())
@@ -151,9 +151,9 @@ def test_without_a_condition_the_conditional_is_marginal(predictors):
     pose = pose_of(view(), "av")
     net = predictors.conditional.net
     with torch.inference_mode():
-        local = decoding.to_pose(pose, southern())
+        local = decode.to_pose(pose, southern())
         position, heading = (torch.from_numpy(one)[None] for one in local)
-        off = conditioning.encode(position, heading, torch.zeros(1, 1), LIGHT)
+        off = condition.Condition.of(position, heading, torch.zeros(1, 1), LIGHT)
         dropped = net(as_batch(arrays), off).logits
         none = net(as_batch(arrays)).logits
     assert torch.equal(dropped, none)
@@ -166,12 +166,18 @@ def test_relations_are_those_of_full_precision_where_the_rest_is_computed_in_bf1
     profiles = torch.linspace(0.0, 100.0, 16).expand(1, 4, 6, 16)
     position = torch.stack([torch.linspace(5.0, 105.0, 80), torch.ones(80)], -1)
     arguments = line[None], profiles, position[None, None]
-    path, goal = conditioning.relations(*arguments)
+
+    def relations():
+        on_paths = OnPaths.of(line[None], position[None, None])
+        return condition.relations(*arguments, on_paths)
+
+    path, goal = relations()
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        half_path, half_goal = conditioning.relations(*arguments)
+        half_path, half_goal = relations()
     assert torch.equal(path, half_path)
     assert torch.equal(goal, half_goal)
-    assert path[0, 0, :, 1].tolist() == [1.0, 1.0, 0.0, 0.0]  # within 3.5 m of the first two
+    met = path[0, 0, :, PathRelation.MET]
+    assert met.tolist() == [1.0, 1.0, 0.0, 0.0]  # within 3.5 m of the first two
 
 
 def test_candidates_are_vehicles_near_by_that_are_not_parked(predictors):
@@ -196,12 +202,12 @@ def test_an_agent_that_is_not_there_is_an_error(predictors):
 
 def test_the_image_shows_what_is_where():
     seen = view()
-    image = raster.draw(seen, road_index(seen.road), LIGHT, pose_of(seen, "av"))
+    image = encode.draw(seen, road_index(seen.road), LIGHT, pose_of(seen, "av"))
     assert image.shape == (20, 56, 56)
     assert image[1, 14, 28] == 1  # the target, now, at a quarter of the height
     street = 8 + ROAD_CHANNELS.index("street")
     assert image[street, 14:40, 28].all()
-    bits = torch.from_numpy(raster.pack(image))[None]
+    bits = torch.from_numpy(encode.pack(image))[None]
     assert np.array_equal(unpack(bits, LIGHT)[0].numpy(), image)
 
 

@@ -6,11 +6,10 @@ import pytest
 import torch
 
 from deepmf_sumo.deepmf.networks.anchors import BRAKING
-from deepmf_sumo.deepmf.networks.conditioning import encode
+from deepmf_sumo.deepmf.networks.condition import Condition
 from deepmf_sumo.deepmf.networks.config import LIGHT, PAPER, UNPAIRED, VECTOR, Preset, changed
-from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
-from deepmf_sumo.deepmf.networks.features import features
-from deepmf_sumo.deepmf.networks.vectornet import as_batch
+from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, as_batch
+from deepmf_sumo.deepmf.networks.encode import features
 from deepmf_sumo.errors import WeightsError
 
 from tests.support.synthetic import view
@@ -58,7 +57,8 @@ def test_networks_work_without_a_branch(sizes: dict[str, object], conditional: b
     net = DenseTNT(preset, conditional=conditional).eval()
     given = None
     if conditional:
-        given = encode(torch.zeros(1, 3, 80, 2), torch.zeros(1, 3, 80), torch.ones(1, 3), preset)
+        parts = torch.zeros(1, 3, 80, 2), torch.zeros(1, 3, 80), torch.ones(1, 3)
+        given = Condition.of(*parts, preset)
     goals = net(batch, given)
     assert goals.logits.shape[1] == (3 if conditional else 1)
     assert goals.logits.shape[3] == preset.profiles + len(BRAKING) * conditional

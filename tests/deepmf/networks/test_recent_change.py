@@ -8,7 +8,8 @@ import pytest
 
 from deepmf_sumo.baselines import _art_history as art
 from deepmf_sumo.baselines.priors import graph
-from deepmf_sumo.deepmf.networks import features, kinematics
+from deepmf_sumo.deepmf.networks import encode, opponent
+from deepmf_sumo.deepmf.networks.encode import OwnMotion
 from deepmf_sumo.training.evaluation import marginal
 
 from tests.support.predictor_doubles import view_of
@@ -42,12 +43,13 @@ def test_every_network_reads_the_same_acceleration(case):
     row = view.history.row("b")
     both = np.array([view.history.row("av"), row])
     yaw = 0.0 if case in {"seen now alone", "unseen for half a second"} else 0.1
-    of_opponents = kinematics.motion_of(view, both)
+    of_opponents = opponent.motion_of(view, both)
+    own = encode.own_motion(view, row, planner=False)
     target = SimpleNamespace(view=view, row=row)
     back = int(np.flatnonzero(np.array(valid[5:]))[0]) + 5
     found = {
-        "candidates and reactions": features._motion(view, row)[1:3],
-        "opponents": (of_opponents.gain_mps2[1], of_opponents.yaw_rps[1]),
+        "candidates and reactions": own[[OwnMotion.ACCEL, OwnMotion.YAW_RATE]],
+        "opponents": (of_opponents.accel_mps2[1], of_opponents.yaw_rps[1]),
         "motion priors": graph._motions(view.history, both, view.dt_s)[1, 1:],
         "baseline of the evaluation": (accel, marginal._yaw_rate(target)),
     }

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.deepmf.networks import decoding, torch_networks
-from deepmf_sumo.deepmf.networks import marginal as marginal_module
-from deepmf_sumo.deepmf.networks.conditional import Conditional
+from deepmf_sumo.deepmf.networks import decode, predict, torch_networks
 from deepmf_sumo.deepmf.networks.config import LIGHT
-from deepmf_sumo.deepmf.networks.decoding import GoalSet
-from deepmf_sumo.deepmf.networks.marginal import Marginal
+from deepmf_sumo.deepmf.networks.decode import GoalSet
+from deepmf_sumo.deepmf.networks.predict import Conditional, Marginal
 from deepmf_sumo.scene import Futures
 
 from tests.support.synthetic import view
@@ -45,14 +43,14 @@ def shares(found):
 
 def test_who_agrees_adds_nothing():
     own = goals([[10.0, 30.0], [5.0, 80.0]], [[0.3, 1.0], [-2.0, 0.0]])
-    assert np.abs(decoding.gain(own, [own])).max() < 1e-6
-    assert np.abs(decoding.gain(own, [own, own])).max() < 1e-6
+    assert np.abs(decode.gain(own, [own])).max() < 1e-6
+    assert np.abs(decode.gain(own, [own, own])).max() < 1e-6
 
 
 def test_a_goal_gains_what_others_hold_of_it_more():
     own = goals([[0.0, 500.0], [0.0, 500.0]], [[0.0, 0.0], [0.0, 0.0]])
     other = goals([[500.0, 0.0], [0.0, 500.0]], [[0.0, 2.0], [1.0, 0.0]])  # in another order
-    found = decoding.gain(own, [other])
+    found = decode.gain(own, [other])
     expected = np.array([[2.0, 0.0], [1.0, 0.0]])
     assert np.allclose(found - found[0, 1], expected, atol=1e-4)
 
@@ -60,14 +58,14 @@ def test_a_goal_gains_what_others_hold_of_it_more():
 def test_goals_that_end_near_by_are_much_alike():
     own = goals([[20.0, 60.0]], [[0.0, 0.0]])
     other = goals([[24.0, 100.0]], [[0.0, 0.0]])
-    near, far = decoding.gain(own, [other])[0]
+    near, far = decode.gain(own, [other])[0]
     assert near == pytest.approx(-4.0 / 3.0, abs=0.01)
     assert far < near - 5.0
 
 
 def test_a_path_that_does_not_exist_stays_out():
     own = goals([[10.0], [20.0]], [[0.0], [float("-inf")]])
-    found = decoding.gain(own, [own])
+    found = decode.gain(own, [own])
     assert np.isfinite(found).all()
     assert np.isneginf((own.logits + found)[0, 1])
 
@@ -114,9 +112,12 @@ def test_the_opinion_is_one_for_all_given_futures(nets):
 
 def test_features_are_made_once_where_the_marginal_network_sees_no_image(nets, monkeypatch):
     blind = torch_networks.random(replace(SMALL, raster=False), 0).marginal
-    expected = Conditional(nets[1], 1.0, marginal=blind).predict(view(), "av").given(None, 6)[0]
-    monkeypatch.setattr(marginal_module, "features", None)  # nobody calls it
-    found = Conditional(nets[1], 1.0, marginal=Marginal(blind.nets, 1.0))
-    assert np.array_equal(
-        found.predict(view(), "av").given(None, 6)[0].probability, expected.probability
+    made = []
+    features = predict.features
+    monkeypatch.setattr(
+        predict, "features", lambda *given, **more: made.append(given) or features(*given, **more)
     )
+    found = Conditional(nets[1], 1.0, marginal=blind).predict(view(), "av")
+    assert len(made) == 1
+    alone = Conditional(nets[1], 1.0).predict(view(), "av")
+    assert not np.array_equal(found.gain, alone.gain), "the marginal network did say something"

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from deepmf_sumo.deepmf.networks import anchors, conditioning, decoding
+from deepmf_sumo.deepmf.networks import anchors, condition, decode
+from deepmf_sumo.deepmf.networks.condition import GoalRelation, OnPaths
 from deepmf_sumo.deepmf.networks.config import LIGHT
-from deepmf_sumo.deepmf.networks.vectornet import Attention
+from deepmf_sumo.deepmf.networks.densetnt import Attention
+from deepmf_sumo.deepmf.networks.encode import span
 from deepmf_sumo.deepmf.networks.vgg import VGG16
 
 
@@ -67,7 +69,7 @@ def test_points_on_numbered_paths_are_those_of_each_path():
     along, left = torch.rand(4, 6) * 260, torch.randn(4, 6)
     point, tangent = anchors.placed_on(paths[0], path[:, None], along, left)
     arrays = (each.numpy() for each in (paths[0], path[:, None], along, left))
-    for one, same in zip(decoding.placed_on(*arrays), (point, tangent), strict=True):
+    for one, same in zip(decode.placed_on(*arrays), (point, tangent), strict=True):
         np.testing.assert_allclose(one, same, atol=1e-4)
     for row, number in enumerate(path.tolist()):
         one = anchors.placed(
@@ -83,12 +85,13 @@ def test_relations_at_equal_times_are_those_of_plain_distances():
     paths[0, 0, :, 0] = paths[0, 1, :, 1] = torch.arange(121.0) * 2
     along = torch.rand(1, 2, 3, 16).cumsum(-1) * 6
     other = torch.randn(1, 4, 80, 2).cumsum(2) + 20
-    _, goal = conditioning.relations(paths, along, other)
+    _, goal = condition.relations(paths, along, other, OnPaths.of(paths, other))
     place = torch.zeros(1, 2, 3, 16, 2)
     place[:, 0, ..., 0], place[:, 1, ..., 1] = along[:, 0], along[:, 1]
     apart = (place[:, None] - other[:, :, None, None, 4::5]).norm(dim=-1)
     least = apart.min(-1)
-    torch.testing.assert_close(goal[..., :4], torch.exp(-apart[..., 3::4] / 12))
-    torch.testing.assert_close(goal[..., 4], (least.values / 10).clamp_max(3))
-    torch.testing.assert_close(goal[..., 5], torch.exp(-least.values / 3))
-    torch.testing.assert_close(goal[..., 6], least.indices / 16)
+    close = span(GoalRelation.CLOSE_2, GoalRelation.CLOSE_8)
+    torch.testing.assert_close(goal[..., close], torch.exp(-apart[..., 3::4] / 12))
+    torch.testing.assert_close(goal[..., GoalRelation.LEAST], (least.values / 10).clamp_max(3))
+    torch.testing.assert_close(goal[..., GoalRelation.CLOSEST], torch.exp(-least.values / 3))
+    torch.testing.assert_close(goal[..., GoalRelation.CLOSEST_TIME], least.indices / 16)

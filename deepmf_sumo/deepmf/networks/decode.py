@@ -1,4 +1,4 @@
-"""Goals to trajectories: choice of modes, completion, combination of the scores of two networks.
+"""Goals to trajectories: choice of modes, completion, densities, scores of several networks.
 
 Modes are chosen by k-medoids from hundreds of weighted dense goals, for K independent sets of N
 goals together.
@@ -7,6 +7,10 @@ goals together.
 products of experts by minimizing contrastive divergence", section 1). Both predict one vehicle in
 one view, so that their goals lie on the same paths; speed profiles and residuals may differ, so
 that goals are compared by how far along a path they end.
+
+Several members, networks that differ in the seed of their training, form a mixture in equal parts:
+Lakshminarayanan et al. 2017, "Simple and scalable predictive uncertainty estimation using deep
+ensembles", section 2.4.
 
 Everything here is numpy: torch and ONNX Runtime both end in a `GoalSet`.
 """
@@ -20,8 +24,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.deepmf.networks.kinematics import Pose
-from deepmf_sumo.deepmf.networks.paths import NODE_SPACING_M
+from deepmf_sumo.deepmf.networks.encode import Pose
+from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import frames
@@ -118,6 +122,10 @@ def _blocks(probability: Singles, block: int) -> tuple[Singles, Ints]:
     """(K, M) mass of the blocks of goals (K, P, R), and the likeliest goal of each."""
     futures, paths, goals = probability.shape
     first = np.arange(paths)[:, None] * goals + np.arange(0, goals, block)
+    if block == 1:
+        return probability.reshape(futures, -1), np.broadcast_to(
+            first.ravel(), (futures, first.size)
+        )
     filled = np.pad(probability, ((0, 0), (0, 0), (0, -goals % block)))
     parts = filled.reshape(futures, -1, block)
     return parts.sum(-1), first.ravel() + parts.argmax(-1)
@@ -151,9 +159,13 @@ def _medoids(weight: Singles, distance: Singles, modes: int) -> Ints:
         free[every, best] = 0.0
         least = np.minimum(least, distance[every, best])
         picked[:, number] = best
+    moving = every
     for _ in range(_SWAPS):
-        before, picked = picked, _medians(weight, distance, picked)
-        if np.array_equal(before, picked):
+        moved = _medians(weight[moving], distance[moving], picked[moving])
+        changed = (moved != picked[moving]).any(1)
+        picked[moving] = moved
+        moving = moving[changed]
+        if not len(moving):
             break
     return picked
 
@@ -163,17 +175,28 @@ def _medians(weight: Singles, distance: Singles, chosen: Ints) -> Ints:
 
     If two modes chose one goal, it counts for the first; the second mode does not move.
     """
-    nearest = np.take_along_axis(distance, chosen[:, None], 2).argmin(2)  # (K, N)
+    away = distance[np.arange(len(chosen))[:, None], chosen]  # (K, M, N)
+    nearest = _first_least(away)  # (K, N)
     mine = nearest[:, None] == np.arange(chosen.shape[1])[:, None]  # (K, M, N)
     cost = (mine * weight[:, None]) @ distance
     cost[~mine] = np.inf
     return np.where(mine.any(-1), cost.argmin(-1), chosen)
 
 
+def _first_least(values: Singles) -> Ints:
+    """(K, N) number of the least of (K, M, N): the first one where several are equal."""
+    least, found = values[:, 0].copy(), np.zeros(values[:, 0].shape, np.int64)
+    for number in range(1, values.shape[1]):  # numpy is slow at the least of a middle axis
+        nearer = values[:, number] < least
+        found[nearer] = number
+        np.minimum(least, values[:, number], out=least)
+    return found
+
+
 def mass(probability: Singles, ends_m: Singles, modes_m: Singles) -> Singles:
     """(K, M) probability of the goals nearest to each mode."""
     sets, modes = modes_m.shape[:2]
-    nearest = _distances(ends_m, modes_m).argmin(-1) + modes * np.arange(sets)[:, None]
+    nearest = _first_least(_distances(modes_m, ends_m)) + modes * np.arange(sets)[:, None]
     share = np.bincount(nearest.ravel(), probability.ravel(), minlength=sets * modes)
     return share.reshape(sets, modes).astype(np.float32)
 
@@ -348,6 +371,70 @@ def _mass_near(goals: GoalSet, end_m: Singles) -> Singles:
     off = np.abs(end_m[:, :, None] - _end(goals)[:, None]) / np.float32(_REACH_M)  # (P, Q, R)
     score = log_softmax(goals.logits[0].ravel()).reshape(goals.logits.shape[1:])
     return logsumexp(score[:, None] - off)
+
+
+def pooled(members: Sequence[GoalSet]) -> GoalSet:
+    """The goals of all members as goals of one network; those of a single member unchanged.
+
+    The logits become log probabilities within each member, so that every member has the same mass.
+    Members are joined along the axis of paths; they need the same number of profiles.
+    """
+    if len(members) == 1:
+        return members[0]
+    return GoalSet(
+        logits=np.concatenate([_of_equal_mass(one.logits) for one in members], 1),
+        along_m=np.concatenate([one.along_m for one in members]),
+        knots=np.concatenate([one.knots for one in members], 1),
+        paths=np.concatenate([one.paths for one in members]),
+        block=members[0].block,
+    )
+
+
+def log_density(
+    kernels_m: Sequence[Singles],
+    members: Sequence[GoalSet],
+    temperature: float,
+    position_m: Singles,
+    valid: Singles,
+) -> Singles:
+    """(K) log density of true positions (K, 5, 2) at the knots, see `_kernels`.
+
+    The temperature applies to the pooled goals; each member's goals have that member's kernels
+    (5, 2). ``valid`` (5) knots count.
+    """
+    warm = [_of_equal_mass(one.logits[0]) / np.float32(temperature) for one in members]
+    mass = log_softmax(np.array([logsumexp(logits.ravel()) for logits in warm]))
+    parts = [
+        logsumexp(log_softmax(logits.ravel()) + _kernels(one, width, position_m, valid))
+        for one, logits, width in zip(members, warm, kernels_m, strict=True)
+    ]
+    return logsumexp(np.stack(parts, -1) + mass)
+
+
+def _kernels(goals: GoalSet, width_m: Singles, position_m: Singles, valid: Singles) -> Singles:
+    """(K, N) log of the Laplace kernels of all goals at the knots, in log 1/m^2 each.
+
+    As in `densetnt.DenseTNT.log_density`: widths (5, 2) along and across, positions (K, 5, 2).
+    """
+    # Each axis by itself: numpy is slow at sums over an axis of length two.
+    centre, tangent = goals.at_knots()
+    (goal_x, goal_y), (cos, sin) = (np.moveaxis(each[0], -1, 0) for each in (centre, tangent))
+    x, y = position_m[:, None, :, 0], position_m[:, None, :, 1]  # (K, 1, 5)
+    ahead = cos * x
+    ahead += sin * y
+    ahead -= cos * goal_x + sin * goal_y
+    left = cos * y
+    left -= sin * x
+    left -= cos * goal_y - sin * goal_x
+    scale = valid / width_m.T  # (2, 5)
+    fit = np.abs(ahead, out=ahead) @ -scale[0] + np.abs(left, out=left) @ -scale[1]
+    area = np.log(4 * width_m[:, 0] * width_m[:, 1])
+    return fit - (area * valid).sum(dtype=np.float32)
+
+
+def _of_equal_mass(logits: Singles) -> Singles:
+    """Logits (..., P, R) of a member as log probabilities over all its goals."""
+    return log_softmax(logits.reshape(*logits.shape[:-2], -1)).reshape(logits.shape)
 
 
 def logsumexp(values: Singles) -> Singles:
