@@ -25,7 +25,7 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.readers.base import RecordRef
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks, lane_links
 from deepmf_sumo.scene.readers.raw.one_file import OneFile, head
-from deepmf_sumo.scene.readers.raw.repair import is_placed, with_heights
+from deepmf_sumo.scene.readers.raw.repair import with_heights
 from deepmf_sumo.scene.readers.raw.road import (
     TWO_STATES,
     RoadBuilder,
@@ -239,9 +239,6 @@ def _road(features: Sequence[Described], repairs: list[str]) -> RoadMap:
     if strange:
         repairs.append(f"Roads of unknown types were dropped: {', '.join(sorted(strange))}.")
     road.lanes = with_heights(road.built(), repairs).lanes
-    lost = next((lane.id for lane in road.lanes.values() if not is_placed(lane)), None)
-    if lost is not None:
-        raise ValueError(f"lane {lost} has points that are not finite numbers, or too far away")
     road.lanes = lane_links.linked(list(road.lanes.values()))
     return road.built()
 

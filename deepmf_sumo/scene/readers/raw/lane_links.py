@@ -1,4 +1,7 @@
-"""Links between lanes for formats without them: successors and neighbours, from the geometry."""
+"""Links between lanes for formats without them: successors and neighbours, from the geometry.
+
+Lanes that the checks refuse for their points get none.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +12,7 @@ import shapely
 
 from deepmf_sumo.scene import Floats, Ints, Lane, Neighbour
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.readers.raw.repair import is_placed
 
 HEIGHT_GAP_M: Final = 1.5
 END_GAP_M: Final = 0.3
@@ -76,7 +80,7 @@ def connections(lanes: Sequence[Lane]) -> list[tuple[str, str]]:
     lower, in a direction that differs by less than 0.8 rad. Bike lanes follow bike lanes only. A
     lane with a single point has no direction and matches any.
     """
-    usable = [lane for lane in lanes if len(lane.centre_m)]
+    usable = [lane for lane in lanes if len(lane.centre_m) and is_placed(lane)]
     if not usable:
         return []
     start = np.array([lane.centre_m[0] for lane in usable])
@@ -119,7 +123,7 @@ def neighbours(lanes: Sequence[Lane]) -> Beside:
     Pieces of at least 8 m count, and shorter ones that are most of a lane. Bike lanes are
     neighbours of bike lanes only.
     """
-    usable = [lane for lane in lanes if len(lane.centre_m) > 1]
+    usable = [lane for lane in lanes if len(lane.centre_m) > 1 and is_placed(lane)]
     found = Beside()
     if len(usable) < 2:
         return found
