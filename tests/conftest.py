@@ -29,8 +29,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m`
 def pytest_collection_modifyitems(items) -> None:
     for item in items:
-        folder = item.path.relative_to(ROOT / "tests").parts[0]
-        if folder in RUN_COMMANDS or started_programs.FIXTURE in item.fixturenames:
+        folders = item.path.relative_to(ROOT / "tests").parts[:-1]
+        if RUN_COMMANDS.intersection(folders) or started_programs.FIXTURE in item.fixturenames:
             item.add_marker(started_programs.MARK)
 
 
