@@ -134,17 +134,19 @@ def test_without_a_hit_the_nearest_comes_first():
 
 
 def test_in_turn_who_is_out_of_reach_is_let_go_and_the_other_attacks_on():
-    schedule = begun(rules=RULES)
+    policy = Pair()
+    schedule = begun(policy, RULES)
     go_on(schedule, NOW, {**AROUND, "a": (41, 0, 0, 10)})
     assert [(one.opponent_id, one.ended) for one in schedule.closed] == [("a", "out_of_reach")]
     assert (schedule.attackers, schedule.leaving) == (("b",), True)
     poses, _ = go_on(schedule, NOW + 1, hits=["b"])
     assert poses["a"] is None
+    policy.planned = ()
     assert schedule.closed[1].ended == "contact"
     assert schedule.attackers == ()
     for step in range(NOW + 2, NOW + 13):
-        go_on(schedule, step)
-    assert schedule.attackers == ("a", "b")
+        go_on(schedule, step, {name: AROUND[name] for name in ("av", "b", "c")})
+    assert schedule.attackers == ("b", "c")
     schedule.finish(NOW + 13, "time")
     assert schedule.of_episode == ("b", "a")  # the first attack is decisive
 
@@ -170,10 +172,13 @@ def test_contacts_are_judged_by_role():
     assert found == [("av_opponent", "av", "a"), ("av_opponent", "av", "b")]
     assert judge.hits(1) == ["a", "b"]
     others = {**apart, "av": (50, 0, 0, 0), "a": (0, 8.5, 0, 0), "b": (0, 7.5, 0, 0)}
-    found, judge = judged(apart, others, attackers=("a", "b"))
+    found, judge = judged(
+        {**apart, "d": (0, -9, 0, 0)}, {**others, "d": (0, 6, 0, 0)}, attackers=("a", "b")
+    )
     assert found == [
         ("opponent_other", "a", "b"),  # of the two among themselves once
         ("opponent_other", "a", "c"),
+        ("opponent_other", "b", "d"),
     ]
     assert judge.hits(1) == []
 
