@@ -199,9 +199,12 @@ def _middle(
 
 
 NONE: Final = "-"
-_LABELS: Final = {"finding": "findings", "ttc_min": "least TTC", "min_gap": "least gap"}
+_LABELS: Final = {
+    "finding": BY_NAME["finding_rate"].title.lower(),
+    **{one.metric: one.label for one in map(BY_NAME.__getitem__, ("ttc_min_s", "min_gap_m"))},
+}
 """Metrics of the key quantities whose missing values are explained."""
-_SHOWN: Final = {*_LABELS, "collision", "collision_speed", "collision_time_s", "delta_v"}
+_SHOWN: Final = {"finding", "collision", *(one.metric for one in BY_NAME.values() if one.words)}
 """Metrics that the key quantities contain."""
 _NAMES: Final[Mapping[str, Sequence[str]]] = {
     "accident_type": ACCIDENT_TYPES, "avoidance_grade": GRADES, "rung": tuple(NAMES.values()),

@@ -49,18 +49,21 @@ def frame(results: Results, kind: Kind) -> pd.DataFrame:
 
 
 def _runs(run: Run) -> Iterator[dict[str, Any]]:
-    yield run_row(run)
+    yield run_row(run, run.result if run.has_result else None)
 
 
-def run_row(run: Run) -> dict[str, Any]:
-    """The row of a run, by column; None where there is no value. Raises UsageError."""
-    result = run.result if run.has_result else None
+def run_row(run: Run, result: Result | None) -> dict[str, Any]:
+    """The row of a run, by column; None where there is no value.
+
+    ``result``: None where it is not there, or cannot be read: then the row is that of ``runs.csv``.
+    """
     done = result is not None and run.status == "ok"
+    has_hit = run.status == "ok" and run.hit
     has_opponent = run.status == "ok" and bool(run.row["opponent"])
     return {
         **_about(run),
         **{name: _value(run, name) for name in COLUMNS if name not in _RUN},
-        "network": run.network,
+        "network": (result or run.row).get("network") or None,
         "part": run.part,
         "moment": moment_of(result) if result else "",
         "setup": digest_of(setup_of(result)) if result else "",
@@ -68,8 +71,8 @@ def run_row(run: Run) -> dict[str, Any]:
         "ended": result.get("ended") if result else None,
         "attacked": has_opponent,
         "judged": has_opponent or (run.status == "ok" and run.adversary == "none"),
-        "hit": run.status == "ok" and run.hit,
-        "worth": findings.said(run.worth) if run.status == "ok" and run.hit else None,
+        "hit": has_hit,
+        "worth": findings.said(run.worth if done else None) if has_hit else None,
         "wall_s": float(result["timings"]["wall_s"]) if result else None,
         "expectations_broken": tuple(result["expectations_broken"]) if result else (),
         **(run.values if done else {}),

@@ -9,9 +9,9 @@ import numpy as np
 
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
-from deepmf_sumo.results.findings import said
-from deepmf_sumo.results.quantities import QUANTITIES, Quantity, accident, worth
-from deepmf_sumo.results.quantities import hit as is_hit
+from deepmf_sumo.results.frames import run_row as run_row_of
+from deepmf_sumo.results.quantities import QUANTITIES, Quantity
+from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, first_contact
 
 SPEEDS_MPS: Final = (2.0, 5.0, 10.0)
@@ -92,37 +92,37 @@ RUN_COLUMNS: Final = (
 )
 
 
-def run_row(table: Mapping[str, str], result: Result | None, element: str, note: str) -> list[Any]:
+def run_row(run: Run, result: Result | None, element: str, note: str) -> list[Any]:
     """Values in the order of `RUN_COLUMNS`, None where there is none.
 
     Args:
-        table: the row of ``runs.csv``, and of ``moments.csv`` where there is one.
-        result: the content of ``result.json``; None where it is not there.
+        run: with its row of ``moments.csv``, where there is one.
+        result: the content of ``result.json``; None where it is not there, or cannot be read.
         element: of the road, where the AV was hit; else empty.
         note: why the run has no result, or cannot be replayed.
     """
-    done = result if result and result["status"] == "ok" else None
-    outcome = done["outcome"] if done else table.get("outcome") or None
+    row = run_row_of(run, result)
+    done = result if result and run.status == "ok" else None
     contact: Mapping[str, Any] = (first_contact(done) if done else None) or {}
-    hit = bool(contact) and str(outcome).startswith("av")
+    hit = bool(contact) and run.outcome.startswith("av")
     known = {
-        "run": table["run_id"],
-        "status": table["status"],
-        "outcome": OUTCOMES.get(str(outcome), outcome),
-        "method": table.get("method") or table["spec"],
-        "planner": table.get("planner_label") or table["planner"],
-        "scene": table["scene"],
-        "part": table.get("part") or None,
-        "seed": int(table["seed"]) if table.get("seed") else None,
-        **{one.name: _value(one, result, contact) for one in _MEASURED},
+        "run": run.run_id,
+        "status": run.status,
+        "outcome": OUTCOMES.get(run.outcome, run.outcome or None),
+        "method": run.method,
+        "planner": run.planner,
+        "scene": run.scene,
+        "part": run.row.get("part") or None,
+        "seed": run.seed,
+        **{one.name: _value(one, row, contact) for one in _MEASURED},
         "sector": SECTORS[contact["sector"]] if hit else None,
-        "worth": said(worth(done)) if done and is_hit(done) else None,
-        "accident": _accident(accident(done) if done else None),
+        "worth": row["worth"] if done else None,
+        "accident": _accident(row.get("accident_type")),
         "element": element or None,
-        "edge": _edge(table),
-        "turn": table.get("turn") or None,
+        "edge": _edge(run.row),
+        "turn": run.row.get("turn") or None,
         "speed": speed_class(contact.get("relative_mps")) if hit else None,
-        "opponent": (done["opponent"] or None) if done else None,
+        "opponent": (row["opponent"] or None) if done else None,
         "score": done.get("opponent_score") if done else None,
         "note": note or None,
     }
@@ -141,16 +141,16 @@ def short(value: Any) -> Any:
     return round(value, 4) if isinstance(value, float) else value
 
 
-def _value(quantity: Quantity, done: Result | None, contact: Mapping[str, Any]) -> float | None:
+def _value(quantity: Quantity, row: Mapping[str, Any], contact: Mapping[str, Any]) -> float | None:
     if quantity.name in _OF_CONTACT:
         return contact.get(_OF_CONTACT[quantity.name])
-    return quantity.of(done) if done else None
+    return row.get(quantity.name)
 
 
-def _accident(number: int | None) -> str | None:
+def _accident(number: float | None) -> str | None:
     if number is None:
         return None
-    name = ACCIDENT_TYPES[number]
+    name = ACCIDENT_TYPES[round(number)]
     return "T-bone" if name == "t_bone" else name.replace("_", " ")
 
 

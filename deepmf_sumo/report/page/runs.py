@@ -73,7 +73,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
     said = (table.get("error", ""), missing, before, *_broken(result))
     note = "; ".join(part for part in said if part)
     return RunPage(
-        row=run_row(table, result, place, note),
+        row=run_row(run, result, place, note),
         details=packed({**_facts(run, result), **shown, "missing": missing}),
         weights=result["weights"] if result else None,
         network=(result["network"] or "") if result and attacked(result) else "",
