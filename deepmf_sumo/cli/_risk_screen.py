@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from deepmf_sumo.report.risk import Written
     from deepmf_sumo.results.risk.attacks import Network
     from deepmf_sumo.results.risk.comparison import Compared
-    from deepmf_sumo.results.risk.coverage import Cell
+    from deepmf_sumo.results.risk.coverage import EvidenceCell
     from deepmf_sumo.results.risk.kinds import TypeRow
-    from deepmf_sumo.results.risk.table import Row as PlaceRow
+    from deepmf_sumo.results.risk.table import PlaceRow
 
 _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "findings", "least TTC",
@@ -64,7 +64,7 @@ def _overall(network: Network) -> str:
     )
 
 
-def show_coverage(found: Sequence[tuple[Network, Sequence[Cell]]]) -> None:
+def show_coverage(found: Sequence[tuple[Network, Sequence[EvidenceCell]]]) -> None:
     """The four tables of evidence of each network."""
     from deepmf_sumo.report import evidence
     from deepmf_sumo.results.risk.coverage import TABLES

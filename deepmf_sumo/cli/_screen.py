@@ -24,10 +24,10 @@ from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.live.attacker import Attached
-    from deepmf_sumo.report.comparison import Line, SideBySide
-    from deepmf_sumo.report.tables.layouts import Row as MethodRow
+    from deepmf_sumo.report.comparison import ShownLine, SideBySide
+    from deepmf_sumo.report.tables.layouts import TextRow as MethodRow
     from deepmf_sumo.results.findings import Count
-    from deepmf_sumo.results.gate.verdict import Verdict
+    from deepmf_sumo.results.gate.verdict import GateVerdict
     from deepmf_sumo.results.result import Result
     from deepmf_sumo.study.sweep.batch import Progress
 
@@ -277,7 +277,7 @@ def tell_causes(out: Path) -> None:
 _MOST_CAUSES: Final = 5
 
 
-def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
+def _fitting(console: Console, found: SideBySide, other: Sequence[ShownLine]) -> int:
     """How many columns the terminal is wide enough for; at least one."""
     lines = [*other, *found.key, *found.more]
     labels = max(len(line.label) for line in lines)
@@ -288,7 +288,7 @@ def _fitting(console: Console, found: SideBySide, other: Sequence[Line]) -> int:
     return max(1, (console.width - labels) // (widest + _GAP))
 
 
-def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: slice) -> None:
+def _columns(console: Console, found: SideBySide, other: Sequence[ShownLine], part: slice) -> None:
     """One line for each quantity."""
     grid = plain_grid([""], found.names[part] if len(found.names) > 1 else [""])
     for lines in (other, found.key, found.more):
@@ -300,7 +300,7 @@ def _columns(console: Console, found: SideBySide, other: Sequence[Line], part: s
     console.print(grid)
 
 
-def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
+def _rows(console: Console, found: SideBySide, other: Sequence[ShownLine]) -> None:
     """One line for each result, with the most important quantities."""
     grid = plain_grid(
         ["results", *(line.label for line in other)], [one.short for one in found.short]
@@ -312,7 +312,7 @@ def _rows(console: Console, found: SideBySide, other: Sequence[Line]) -> None:
     console.print("--all shows all quantities")
 
 
-def show_verdict(verdict: Verdict) -> None:
+def show_verdict(verdict: GateVerdict) -> None:
     """The tables of the Markdown summary, and a sentence for each finding."""
     from deepmf_sumo.results.gate.verdict import (
         LONGEST_LIST,

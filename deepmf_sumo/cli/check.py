@@ -9,7 +9,7 @@ from deepmf_sumo.cli._parameters import RESULTS, format_option
 
 if TYPE_CHECKING:
     from deepmf_sumo.results.gate import SameAttacks
-    from deepmf_sumo.results.gate.verdict import Verdict
+    from deepmf_sumo.results.gate.verdict import GateVerdict
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -89,7 +89,7 @@ def command(
     ctx.exit(verdict.exit_code)
 
 
-def _rows(verdict: "Verdict") -> list[dict[str, Any]]:
+def _rows(verdict: "GateVerdict") -> list[dict[str, Any]]:
     """One row for each threshold and each comparison with the baseline."""
     from deepmf_sumo.results.gate.thresholds import ALL
     from deepmf_sumo.results.gate.verdict import said

@@ -11,7 +11,7 @@ from deepmf_sumo.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from deepmf_sumo.results.groups import Group
+    from deepmf_sumo.results.groups import FailureGroup
     from deepmf_sumo.results.reader import Run
 
 
@@ -122,7 +122,7 @@ def _warn(runs: "Sequence[Run]") -> None:
         click.echo(f"deepmf-sumo: {said}.", err=True)
 
 
-def _named(group: "Group", folders: tuple[Path, ...]) -> str:
+def _named(group: "FailureGroup", folders: tuple[Path, ...]) -> str:
     """Its sentence with the run that is its example; of several folders with that run's folder."""
     from deepmf_sumo.report import failures as words
 

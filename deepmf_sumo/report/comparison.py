@@ -215,7 +215,7 @@ _ANGLES: Final = {"pdof"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class ShownLine:
     """A quantity: its label with the unit, a short one for a heading, and one cell per group."""
 
     label: str
@@ -234,13 +234,13 @@ class SideBySide:
     """
 
     names: tuple[str, ...]
-    about: tuple[Line, ...]
-    key: tuple[Line, ...]
-    more: tuple[Line, ...]
+    about: tuple[ShownLine, ...]
+    key: tuple[ShownLine, ...]
+    more: tuple[ShownLine, ...]
     missing: tuple[str, ...]
 
     @property
-    def short(self) -> tuple[Line, ...]:
+    def short(self) -> tuple[ShownLine, ...]:
         """The key quantities that fit in one row per group."""
         return tuple(line for line in self.key if line.short)
 
@@ -259,16 +259,16 @@ def side_by_side(groups: Sequence[RunGroup], *, everything: bool = False) -> Sid
     )
 
 
-def _about(groups: Sequence[RunGroup]) -> tuple[Line, ...]:
+def _about(groups: Sequence[RunGroup]) -> tuple[ShownLine, ...]:
     about = [group.about for group in groups]
     names = dict.fromkeys(name for one in about for name, text in one.items() if text)
     return tuple(
-        Line(label=name, short=name, cells=tuple(one[name] or NONE for one in about))
+        ShownLine(label=name, short=name, cells=tuple(one[name] or NONE for one in about))
         for name in names
     )
 
 
-def _key(groups: Sequence[RunGroup]) -> tuple[Line, ...]:
+def _key(groups: Sequence[RunGroup]) -> tuple[ShownLine, ...]:
     lines: list[Told] = [
         ("runs that succeeded", "runs", _succeeded),
         ("runs in which a vehicle was attacked", "attacked", lambda one: str(len(one.attacked))),
@@ -293,7 +293,7 @@ def _key(groups: Sequence[RunGroup]) -> tuple[Line, ...]:
     if any(group.tries for group in groups):
         lines.append(("tries for a finding: misses, hits by rung", "", _tries))
     return tuple(
-        Line(label=label, short=short, cells=tuple(cell(group) for group in groups))
+        ShownLine(label=label, short=short, cells=tuple(cell(group) for group in groups))
         for label, short, cell in lines
     )
 
@@ -389,10 +389,10 @@ def _units(groups: Sequence[RunGroup]) -> dict[str, str]:
     return {name: units[name] for name in sorted(units.keys() - _SHOWN - _ANGLES)}
 
 
-def _metrics(groups: Sequence[RunGroup], units: Mapping[str, str]) -> tuple[Line, ...]:
+def _metrics(groups: Sequence[RunGroup], units: Mapping[str, str]) -> tuple[ShownLine, ...]:
     """One line per metric of which some run has a value."""
     lines = (
-        Line(
+        ShownLine(
             label=name if unit in {"", "1", "number"} else f"{name}, {unit}",
             short="",
             cells=tuple(_cell(group, name) for group in groups),

@@ -2,7 +2,7 @@
 
 from typing import Any, Final
 
-from deepmf_sumo.results.risk.coverage import Cell
+from deepmf_sumo.results.risk.coverage import EvidenceCell
 from deepmf_sumo.results.statistics import Interval
 
 HEADINGS: Final = (
@@ -15,7 +15,7 @@ NOTE: Final = (
 )
 
 
-def row(cell: Cell) -> tuple[str, ...]:
+def row(cell: EvidenceCell) -> tuple[str, ...]:
     """A cell in the order of `HEADINGS`."""
     if not cell.attacks:
         return name(cell), "0", "-", "-", "-", "-", cell.reason
@@ -30,7 +30,7 @@ def row(cell: Cell) -> tuple[str, ...]:
     )
 
 
-def name(cell: Cell) -> str:
+def name(cell: EvidenceCell) -> str:
     """What the row is about, with its subject where the table has several."""
     plain = cell.table in {"conflict", "rule"} or cell.subject == cell.table
     return cell.name if plain else f"{cell.subject}: {cell.name}"
@@ -42,7 +42,7 @@ def _counted(count: int, rate: Interval | None) -> str:
     return f"{count} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
 
 
-def values(cell: Cell) -> dict[str, Any]:
+def values(cell: EvidenceCell) -> dict[str, Any]:
     """A cell as a row of ``coverage.csv``: rates with their 95 % intervals, None where none is."""
     rates = {
         f"{name}_rate{end}": value

@@ -7,7 +7,7 @@ from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType
 from deepmf_sumo.report.table import counted
 from deepmf_sumo.results.failures import Failure
 from deepmf_sumo.results.findings import DRIVERS, by_whom
-from deepmf_sumo.results.groups import Group, causes
+from deepmf_sumo.results.groups import FailureGroup, causes
 from deepmf_sumo.texts import shown
 
 HEADINGS: Final = (
@@ -59,7 +59,7 @@ _DID: Final = {
 }
 
 
-def row(group: Group) -> tuple[str, ...]:
+def row(group: FailureGroup) -> tuple[str, ...]:
     """A group in the order of `HEADINGS`."""
     one = group.example
     return (
@@ -75,7 +75,7 @@ def row(group: Group) -> tuple[str, ...]:
     )
 
 
-def facts(group: Group) -> list[list[str]]:
+def facts(group: FailureGroup) -> list[list[str]]:
     """Names and values of what the failures of a group have in common."""
     one = group.example
     known = {
@@ -92,7 +92,7 @@ def facts(group: Group) -> list[list[str]]:
     return [[name, value] for name, value in known.items() if value]
 
 
-def _seconds(group: Group) -> str:
+def _seconds(group: FailureGroup) -> str:
     """Since when, where it is avoidable."""
     if group.onset_s is None or not (group.example.worth and group.example.worth.avoided_by):
         return ""
@@ -104,7 +104,7 @@ def title(failure: Failure) -> str:
     return failure.conflict or failure.kind
 
 
-def sentence(group: Group) -> str:
+def sentence(group: FailureGroup) -> str:
     """What an engineer would write about the group's example."""
     one = group.example
     if one.kind != "hit":
@@ -115,7 +115,7 @@ def sentence(group: Group) -> str:
     return f"{_happened(one)}{_judged(one)}.{also}"
 
 
-def summary(groups: Iterable[Group]) -> str:
+def summary(groups: Iterable[FailureGroup]) -> str:
     """How many distinct causes the findings have; empty where none has a known cause."""
     number, of = causes(groups)
     return f"{counted(number, 'distinct cause')} in {counted(of, 'finding')}" if number else ""

@@ -19,7 +19,7 @@ _UNKNOWN: Final = 99.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
+class FailureGroup:
     """Failures of one kind, the clearest first: that is the example.
 
     Attributes:
@@ -104,7 +104,7 @@ def _drivers(failure: Failure) -> tuple[str, ...] | None:
     return failure.worth.avoided_by if failure.worth else None
 
 
-def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
+def grouped(failures: Iterable[Failure], of: int) -> list[FailureGroup]:
     """Groups of the failures of a number of runs, the worst first.
 
     Errors of the planner come first, then findings, of which each group has one cause: errors of
@@ -116,17 +116,17 @@ def grouped(failures: Iterable[Failure], of: int) -> list[Group]:
     found: dict[Hashable, list[Failure]] = defaultdict(list)
     for failure in failures:
         found[_key(failure)].append(failure)
-    groups = [Group(failures=tuple(sorted(one, key=_rank)), of=of) for one in found.values()]
+    groups = [FailureGroup(failures=tuple(sorted(one, key=_rank)), of=of) for one in found.values()]
     return sorted(groups, key=_order)
 
 
-def causes(groups: Iterable[Group]) -> tuple[int, int]:
+def causes(groups: Iterable[FailureGroup]) -> tuple[int, int]:
     """The number of distinct causes, and of the findings that have one of them."""
     found = [len(group.failures) for group in groups if group.example.cause]
     return len(found), sum(found)
 
 
-def _order(group: Group) -> tuple[Any, ...]:
+def _order(group: FailureGroup) -> tuple[Any, ...]:
     place, rung, *rest = _rank(group.example)
     often = -len(group.failures) if group.example.cause else 0
     return (place, rung, often, *rest, -len(group.failures))

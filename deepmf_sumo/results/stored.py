@@ -103,12 +103,12 @@ class _Samples(_Part):
     recorded_mps2: list[float]
 
 
-class _Search(_Part):
+class _SearchPart(_Part):
     simulations: int
     tries: list[str] = []
 
 
-class _Budget(_Part):
+class _BudgetPart(_Part):
     simulations: int | None = None
     seconds: float | None = None
 
@@ -144,7 +144,7 @@ class _Cause(_Part):
     changes: dict[str, bool]
 
 
-class _Planned(_Part):
+class _PlannedRun(_Part):
     """`result.identity`."""
 
     spec: str
@@ -176,7 +176,7 @@ class _Result(_Part):
     weights: str | None = None
     seed: int
     settings: _Settings
-    budget: _Budget = _Budget()
+    budget: _BudgetPart = _BudgetPart()
     setup: dict[str, Any] | None = None
     inputs: dict[str, str] = {}
     planner_fault: str | None = None
@@ -205,7 +205,7 @@ class _Finished(_Result):
     samples: _Samples | None = None
     rules: list[str] = []
     repairs: list[str] = []
-    search: _Search
+    search: _SearchPart
     turns: list[_Turn] | None = None
 
 
@@ -230,7 +230,7 @@ class _WholeTimings(_Timings):
 class _Whole(_Finished):
     """As this version writes it: the source of a batch's tables."""
 
-    budget: _Budget
+    budget: _BudgetPart
     opponent_score: float | None
     contacts: Sequence[_WholeContact]
     metrics: Mapping[str, _WholeMetric]
@@ -332,7 +332,7 @@ def planned_of(out: Path) -> dict[str, dict[str, Any]]:
     file = out / MANIFEST
     found = mapping(file).get("planned", {})
     try:
-        return {str(run_id): dict(_Planned.model_validate(one)) for run_id, one in found.items()}
+        return {str(run_id): dict(_PlannedRun.model_validate(one)) for run_id, one in found.items()}
     except (AttributeError, ValidationError):
         raise _damaged(file, "planned: it does not name the runs", "run it again") from None
 

@@ -135,11 +135,11 @@ def _ranks(out: Path, place: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _surely(one: table.Row) -> float:
+def _surely(one: table.PlaceRow) -> float:
     return one.criticality.surely if one.criticality else 0.0
 
 
-def _at(network: attacks.Network, one: table.Row, junction: str) -> bool:
+def _at(network: attacks.Network, one: table.PlaceRow, junction: str) -> bool:
     """Whether a movement is over the junction, or an edge leads to it."""
     if one.kind == "movement":
         return network.places.movements[one.place].junction == junction

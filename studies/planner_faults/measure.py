@@ -294,7 +294,7 @@ def _judged(
     )
 
 
-def reported(verdict: gate.Verdict) -> tuple[str, ...]:
+def reported(verdict: gate.GateVerdict) -> tuple[str, ...]:
     """What is broken or worse, by kind of failure and quantity."""
     by = [_named(one.limit) for one in verdict.judgements if one.state == "broken"]
     by += [_named(one.quantity) for one in verdict.comparisons or () if one.state == "worse"]

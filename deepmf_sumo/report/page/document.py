@@ -17,8 +17,8 @@ from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results import risk, sessions, stored
-from deepmf_sumo.results.groups import Group, grouped
-from deepmf_sumo.results.risk import Network, Row
+from deepmf_sumo.results.groups import FailureGroup, grouped
+from deepmf_sumo.results.risk import Network, PlaceRow
 from deepmf_sumo.spec.profiles import described, headline
 
 _SCRIPTS: Final = (
@@ -68,13 +68,13 @@ def write(out: Path) -> Path:
     return out / "report.html"
 
 
-def map_page(network: Network, rows: Sequence[Row], title: str) -> str:
+def map_page(network: Network, rows: Sequence[PlaceRow], title: str) -> str:
     """A page with a risk map alone. The same rows give the same page."""
     content = {"title": title, "maps": [network.name]}
     return _joined(content, {"map": [packed(maps.content(network, rows))]})
 
 
-def _failures(pages: Sequence[RunPage], groups: Sequence[Group]) -> list[dict[str, Any]]:
+def _failures(pages: Sequence[RunPage], groups: Sequence[FailureGroup]) -> list[dict[str, Any]]:
     """Groups of failures, the worst first, with the numbers of their runs, the example first."""
     number = {page.failure.run.run_id: place for place, page in enumerate(pages) if page.failure}
     return [

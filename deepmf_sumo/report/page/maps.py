@@ -11,10 +11,10 @@ from deepmf_sumo.report.page.columns import Column, short
 from deepmf_sumo.report.palette import RISK_CLASSES
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.results.risk.attacks import Attacked, Network
-from deepmf_sumo.results.risk.coverage import TABLES, Cell, coverage
+from deepmf_sumo.results.risk.coverage import TABLES, EvidenceCell, coverage
 from deepmf_sumo.results.risk.kinds import MEANINGS, TypeRow, by_type
 from deepmf_sumo.results.risk.places import KINDS
-from deepmf_sumo.results.risk.table import COUNTED, DEFINITIONS, Row, columns
+from deepmf_sumo.results.risk.table import COUNTED, DEFINITIONS, PlaceRow, columns
 from deepmf_sumo.results.statistics import PLACE_CONFIDENCE
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.sumo.network.sumo_net import NetLane
@@ -61,7 +61,7 @@ PLACE_COLUMNS: Final = (
 """``rank`` and ``risk`` are those of the event that the reader chooses."""
 
 
-def content(network: Network, rows: Sequence[Row]) -> dict[str, Any]:
+def content(network: Network, rows: Sequence[PlaceRow]) -> dict[str, Any]:
     """What the page needs of a map, as JSON values. The same rows give the same content."""
     table, cells = [columns(one) for one in rows], coverage(network)
     return {
@@ -91,9 +91,9 @@ def _type(row: TypeRow) -> list[Any]:
     return [MEANINGS[row.kind], *(short(value) for value in asdict(row).values())]
 
 
-def _covered(cells: Sequence[Cell]) -> list[list[Any]]:
+def _covered(cells: Sequence[EvidenceCell]) -> list[list[Any]]:
     """Of movements and edges how many were attacked, of how many, and which never were."""
-    subjects: dict[str, list[Cell]] = {}
+    subjects: dict[str, list[EvidenceCell]] = {}
     for one in cells:
         if one.table == "place":
             subjects.setdefault(one.subject, []).append(one)
@@ -103,7 +103,7 @@ def _covered(cells: Sequence[Cell]) -> list[list[Any]]:
     ]
 
 
-def _evidence(cells: Sequence[Cell]) -> list[list[Any]]:
+def _evidence(cells: Sequence[EvidenceCell]) -> list[list[Any]]:
     """The title of each table, and its rows: cells of text."""
     return [
         [title, [list(row(one)) for one in cells if one.table == table]]
@@ -111,7 +111,7 @@ def _evidence(cells: Sequence[Cell]) -> list[list[Any]]:
     ]
 
 
-def _never(found: Sequence[Cell]) -> list[str]:
+def _never(found: Sequence[EvidenceCell]) -> list[str]:
     """The busiest first, with their flow where it is known."""
     never = [one for one in found if not one.attacks]
     if any(one.vehicles_per_hour for one in never):
@@ -124,7 +124,7 @@ def _never(found: Sequence[Cell]) -> list[str]:
     ]
 
 
-def lanes_of(network: Network, row: Row) -> list[NetLane]:
+def lanes_of(network: Network, row: PlaceRow) -> list[NetLane]:
     """The lanes of an edge, of a movement, or the lane itself; none of a junction."""
     places = network.places
     if row.kind == "edge":
@@ -134,7 +134,7 @@ def lanes_of(network: Network, row: Row) -> list[NetLane]:
     return [places.lanes[row.place]] if row.kind == "lane" else []
 
 
-def _shape(network: Network, row: Row) -> list[Any]:
+def _shape(network: Network, row: PlaceRow) -> list[Any]:
     """Width and corners of each line of a place; of a junction its outline, without a width."""
     if row.kind == "junction":
         return [[0, _corners(network.places.junctions[row.place].shape_m)]]

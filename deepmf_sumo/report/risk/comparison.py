@@ -11,7 +11,7 @@ from deepmf_sumo.results.gate.verdict import difference, figure
 from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import RATE
 from deepmf_sumo.results.risk.comparison import Compared
-from deepmf_sumo.results.risk.origins import Origin
+from deepmf_sumo.results.risk.origins import HitOrigin
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}
@@ -84,7 +84,7 @@ def _state(one: QuantityChange, unit: str) -> str:
     return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
-def _undecided(one: QuantityChange | Origin, unit: str) -> str:
+def _undecided(one: QuantityChange | HitOrigin, unit: str) -> str:
     """With about how many attacks would decide, where that can be told."""
     if not one.needed:
         return "cannot tell"
@@ -105,13 +105,13 @@ def origins(compared: Compared) -> list[tuple[str, ...]]:
     ]
 
 
-def _origin_state(one: Origin, unit: str) -> str:
+def _origin_state(one: HitOrigin, unit: str) -> str:
     if one.state == "within margin":
         return f"at most {RATE:g} apart"
     return _undecided(one, unit) if one.state == "cannot tell" else one.state
 
 
-def _value(one: Origin) -> str:
+def _value(one: HitOrigin) -> str:
     return SECTORS[int(one.value)] if one.dimension == "sector" else one.value
 
 

@@ -12,7 +12,7 @@ from deepmf_sumo.report.page.document import map_page
 from deepmf_sumo.report.risk import gis, sumo_files
 from deepmf_sumo.results import risk, stored
 from deepmf_sumo.results.folder import RISK, forget_map, map_folders
-from deepmf_sumo.results.risk import Network, Row
+from deepmf_sumo.results.risk import Network, PlaceRow
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
 POLYGONS, CONFIG, CONFLICTS = "polygons.add.xml", "risk.sumocfg", "conflicts.csv"
@@ -27,7 +27,7 @@ class Written:
 
     folder: Path
     network: Network
-    rows: list[Row]
+    rows: list[PlaceRow]
     more: tuple[str, ...] = ()
 
     @property

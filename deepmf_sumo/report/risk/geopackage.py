@@ -76,7 +76,7 @@ _ALWAYS: Final = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class GeoTable:
     """Features: rows with a geometry, or None, each."""
 
     name: str
@@ -86,7 +86,7 @@ class Table:
     shapes: Sequence[BaseGeometry | None]
 
 
-def packed(tables: Sequence[Table], reference: Reference) -> bytes:
+def packed(tables: Sequence[GeoTable], reference: Reference) -> bytes:
     """The file; all shapes have the same reference system."""
     database = sqlite3.connect(":memory:")
     try:
@@ -109,7 +109,7 @@ def packed(tables: Sequence[Table], reference: Reference) -> bytes:
         database.close()
 
 
-def _add(database: sqlite3.Connection, table: Table, reference: int) -> None:
+def _add(database: sqlite3.Connection, table: GeoTable, reference: int) -> None:
     there = [one for one in table.shapes if one is not None]
     bounds = shapely.total_bounds(np.array(there, object)).tolist() if there else [None] * 4
     database.execute(
@@ -137,7 +137,7 @@ def _add(database: sqlite3.Connection, table: Table, reference: int) -> None:
     )  # fmt: skip
 
 
-def _type(name: str, table: Table) -> str:
+def _type(name: str, table: GeoTable) -> str:
     """Of all values that are there: a whole number among others is a number with decimals."""
     types = {type(row[name]) for row in table.rows if row[name] is not None}
     if types == {bool}:

@@ -19,7 +19,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.risk import geopackage
 from deepmf_sumo.report.risk.sumo_files import areas
 from deepmf_sumo.results import risk
-from deepmf_sumo.results.risk import Network, Row
+from deepmf_sumo.results.risk import Network, PlaceRow
 from deepmf_sumo.scene import Floats
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def check(networks: Sequence[Network], forms: Sequence[Form]) -> None:
             _reference(network)
 
 
-def written(network: Network, rows: Sequence[Row], forms: Sequence[Form]) -> dict[str, bytes]:
+def written(network: Network, rows: Sequence[PlaceRow], forms: Sequence[Form]) -> dict[str, bytes]:
     """The files of the forms, by name; the same map gives the same bytes.
 
     Raises UsageError as `check`.
@@ -84,7 +84,7 @@ def written(network: Network, rows: Sequence[Row], forms: Sequence[Form]) -> dic
     return found
 
 
-def _places(network: Network, rows: Sequence[Row]) -> Layer:
+def _places(network: Network, rows: Sequence[PlaceRow]) -> Layer:
     """A multipolygon for each row of ``risk.csv``; lanes that touch are one area."""
     return Layer(
         rows=[risk.columns(row) for row in rows],
@@ -181,7 +181,7 @@ def _gpkg(network: Network, layers: Layers) -> bytes:
         crs = _reference(network)
         reference = geopackage.Reference.of(crs.name, crs.to_wkt("WKT1_GDAL"), crs.to_authority())
     tables = [
-        geopackage.Table(
+        geopackage.GeoTable(
             name=name,
             geometry="MULTIPOLYGON" if name == PLACES else "POINT",
             columns=list(risk.ATTACKED)

@@ -16,7 +16,7 @@ from deepmf_sumo.report.page.maps import lanes_of
 from deepmf_sumo.report.palette import Rgb, risk_colour
 from deepmf_sumo.results.risk.attacks import Network
 from deepmf_sumo.results.risk.places import Kind
-from deepmf_sumo.results.risk.table import Row, columns
+from deepmf_sumo.results.risk.table import PlaceRow, columns
 from deepmf_sumo.scene import Floats
 
 _WORDS: Final = {"kind", "place", "title", "counted"}
@@ -25,7 +25,7 @@ _END_S: Final = "1000000.00"
 Values = dict[str, str]
 
 
-def edges(network: Network, rows: Sequence[Row]) -> bytes:
+def edges(network: Network, rows: Sequence[PlaceRow]) -> bytes:
     """``<meandata>`` of all edges with attacks, those inside junctions too, and their lanes."""
     root = ET.Element("meandata")
     interval = ET.SubElement(root, "interval", begin="0.00", end=_END_S, id="deepmf-sumo risk")
@@ -42,7 +42,7 @@ def edges(network: Network, rows: Sequence[Row]) -> bytes:
     return _edge_data_text(root)
 
 
-def movements(network: Network, rows: Sequence[Row]) -> bytes:
+def movements(network: Network, rows: Sequence[PlaceRow]) -> bytes:
     """``<edgeRelation from= to=>`` of all movements with attacks."""
     root = ET.Element("data")
     interval = ET.SubElement(root, "interval", begin="0.00", end=_END_S, id="deepmf-sumo risk")
@@ -53,7 +53,7 @@ def movements(network: Network, rows: Sequence[Row]) -> bytes:
     return _edge_data_text(root)
 
 
-def _values(rows: Iterable[Row], kind: str) -> dict[str, Values]:
+def _values(rows: Iterable[PlaceRow], kind: str) -> dict[str, Values]:
     """Numbers of the places of a kind, as text; what is not known is left out."""
     found: dict[str, Values] = {}
     for row in rows:
@@ -63,7 +63,7 @@ def _values(rows: Iterable[Row], kind: str) -> dict[str, Values]:
     return found
 
 
-def numbers(row: Row, head: str = "") -> Values:
+def numbers(row: PlaceRow, head: str = "") -> Values:
     """A row's numbers as text, by name."""
     return {
         f"{head}{name}": tables.cell(value)
@@ -85,7 +85,7 @@ _WAY_M: Final = 1.2
 """Ways over a junction lie over each other: they are drawn narrower than lanes."""
 
 
-def additional(network: Network, rows: Sequence[Row]) -> bytes:
+def additional(network: Network, rows: Sequence[PlaceRow]) -> bytes:
     """``<poly>`` of the junctions, edges and movements where attacks were decided.
 
     Filled with the colour of the risk of a hit, see `palette.RISK_CLASSES`; without any hit they
@@ -112,7 +112,7 @@ def additional(network: Network, rows: Sequence[Row]) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root) + b"\n"
 
 
-def _name(network: Network, row: Row) -> str:
+def _name(network: Network, row: PlaceRow) -> str:
     """SUMO takes no blanks in ids."""
     if row.kind != "movement":
         return row.place
@@ -124,13 +124,13 @@ def _text(mixed: Rgb) -> str:
     return ",".join(map(str, mixed))
 
 
-def _outlines(network: Network, row: Row) -> Iterator[Floats]:
+def _outlines(network: Network, row: PlaceRow) -> Iterator[Floats]:
     """Corners (P, 2) of the areas of a place."""
     for area in areas(network, row):
         yield shapely.get_coordinates(shapely.get_exterior_ring(area))
 
 
-def areas(network: Network, row: Row) -> Iterator[shapely.Polygon]:
+def areas(network: Network, row: PlaceRow) -> Iterator[shapely.Polygon]:
     """The areas of a place: a junction's outline, else one or more for each lane."""
     if row.kind == "junction":
         shape_m = network.places.junctions[row.place].shape_m

@@ -18,7 +18,7 @@ from deepmf_sumo.study.plans import tables
 from deepmf_sumo.study.plans.layout import Layout, read_layout
 from deepmf_sumo.tables import read_csv
 
-Row = dict[str, str]
+TextRow = dict[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,9 +26,9 @@ class Content:
     """Rows as text, in the plan's order; an empty cell is not known."""
 
     layout: Layout
-    main: Sequence[Row]
-    differences: Sequence[Row]
-    equal_seconds: Sequence[Row]
+    main: Sequence[TextRow]
+    differences: Sequence[TextRow]
+    equal_seconds: Sequence[TextRow]
 
 
 def read_content(out: Path) -> Content:
@@ -41,7 +41,7 @@ def read_content(out: Path) -> Content:
     )
 
 
-def _rows(file: Path, *, needed: bool = True) -> list[Row]:
+def _rows(file: Path, *, needed: bool = True) -> list[TextRow]:
     if not file.is_file() and not needed:
         return []
     return [{_today(name): text for name, text in row.items()} for row in read_csv(file)]
@@ -142,7 +142,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
+class TableCell:
     """A formatted value; ``best`` of its planner's."""
 
     text: str
@@ -150,7 +150,7 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class MethodTable:
     """A table in blocks, one a planner.
 
     Attributes:
@@ -159,7 +159,7 @@ class Table:
 
     title: str
     heads: Sequence[str]
-    blocks: Sequence[tuple[str, Sequence[tuple[str, Sequence[Cell]]]]]
+    blocks: Sequence[tuple[str, Sequence[tuple[str, Sequence[TableCell]]]]]
 
 
 def _head(name: str, text: str = "", *, interval: bool = False) -> Head:
@@ -202,7 +202,7 @@ _EQUAL: Final = (_INTERVAL, _TIME, _SPEED, *_NATURAL, _GENERATION, _head("simula
 _COMPARED: Final = ("collision_rate", "kl", "wasserstein", "sspd_m", "hausdorff_m")
 
 
-def tables_of(content: Content) -> list[Table]:
+def tables_of(content: Content) -> list[MethodTable]:
     """All tables that the plan's methods allow, in the paper's order."""
     layout = content.layout
     found = []
@@ -238,7 +238,9 @@ def tables_of(content: Content) -> list[Table]:
     return found
 
 
-def _table(title: str, heads: Sequence[Head], rows: Sequence[Row], methods: Sequence[str]) -> Table:
+def _table(
+    title: str, heads: Sequence[Head], rows: Sequence[TextRow], methods: Sequence[str]
+) -> MethodTable:
     planners = dict.fromkeys(row["planner"] for row in rows)
     blocks = []
     for planner in planners:
@@ -247,19 +249,19 @@ def _table(title: str, heads: Sequence[Head], rows: Sequence[Row], methods: Sequ
         best = {head.column: _best(head.column, shown) for head in heads}
         blocks.append((planner, [(row["method"], _cells(row, heads, best)) for row in shown]))
     texts = ["Methods", "Hits / attacked", *(head.text for head in heads)]
-    return Table(title=title, heads=texts, blocks=blocks)
+    return MethodTable(title=title, heads=texts, blocks=blocks)
 
 
-def _cells(row: Row, heads: Sequence[Head], best: dict[str, float | None]) -> list[Cell]:
-    cells = [Cell(text=f"{row['hits']} / {row['attacked']}")]
+def _cells(row: TextRow, heads: Sequence[Head], best: dict[str, float | None]) -> list[TableCell]:
+    cells = [TableCell(text=f"{row['hits']} / {row['attacked']}")]
     for head in heads:
         value = row[head.column]
         is_best = bool(value) and best[head.column] == float(value)
-        cells.append(Cell(text=_number(row, head), best=is_best))
+        cells.append(TableCell(text=_number(row, head), best=is_best))
     return cells
 
 
-def _best(column: str, rows: Sequence[Row]) -> float | None:
+def _best(column: str, rows: Sequence[TextRow]) -> float | None:
     values = [float(row[column]) for row in rows if row[column]]
     known = BY_NAME.get(column)
     if known is None or known.better == "neither" or len(values) < 2:
@@ -269,7 +271,7 @@ def _best(column: str, rows: Sequence[Row]) -> float | None:
     return max(values) if known.better == "higher" else min(values)
 
 
-def _number(row: Row, head: Head) -> str:
+def _number(row: TextRow, head: Head) -> str:
     def shown(name: str) -> str:
         return f"{float(row[name]) * (100 if head.percent else 1):.{head.digits}f}"
 
@@ -281,7 +283,7 @@ def _number(row: Row, head: Head) -> str:
     return f"{shown(head.column)} ({low}-{high})"
 
 
-def _differences(content: Content) -> Table:
+def _differences(content: Content) -> MethodTable:
     """Method minus baseline on the same scenes, with 95 % intervals."""
     blocks = []
     for planner in content.layout.planners:
@@ -293,17 +295,17 @@ def _differences(content: Content) -> Table:
                 if (row["planner"], row["method"]) == (planner, method)
             }
             if any(found[name]["difference"] for name in _COMPARED if name in found):
-                cells = [Cell(text=_difference(found[name])) for name in _COMPARED]
-                rows.append((method, [Cell(text=found["collision_rate"]["pairs"]), *cells]))
+                cells = [TableCell(text=_difference(found[name])) for name in _COMPARED]
+                rows.append((method, [TableCell(text=found["collision_rate"]["pairs"]), *cells]))
         blocks.append((planner, rows))
-    return Table(
+    return MethodTable(
         title=f"Paired differences to {content.layout.baseline} on the same scenes, 95 %",
         heads=["Methods", "Pairs", *(BY_NAME[name].title for name in _COMPARED)],
         blocks=blocks,
     )
 
 
-def _difference(row: Row) -> str:
+def _difference(row: TextRow) -> str:
     if not row["difference"]:
         return "-"
     middle = f"{float(row['difference']):+.2f}"

@@ -7,7 +7,7 @@ from typing import Final
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics.statistics import BINS
 from deepmf_sumo.report.tables import layouts
-from deepmf_sumo.report.tables.layouts import Cell, Content, Row, Table
+from deepmf_sumo.report.tables.layouts import Content, MethodTable, TableCell, TextRow
 from deepmf_sumo.results.quantities import COLUMNS, Quantity
 from deepmf_sumo.study.plans.layout import Layout
 from deepmf_sumo.study.plans.tables import STATUSES
@@ -66,7 +66,7 @@ def _cautions(layout: Layout) -> list[str]:
     return lines
 
 
-def _runs(rows: Sequence[Row]) -> list[str]:
+def _runs(rows: Sequence[TextRow]) -> list[str]:
     """Runs that are in no mean, by method and planner."""
     lines = []
     for row in rows:
@@ -79,7 +79,7 @@ def _runs(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _definition(column: Quantity, rows: Sequence[Row]) -> str:
+def _definition(column: Quantity, rows: Sequence[TextRow]) -> str:
     """Name, unit, what is averaged, the metric's own definition, and denominators."""
     counts = [int(row[f"n_{column.name}"]) for row in rows]
     if not any(counts):
@@ -97,7 +97,7 @@ def _metric(name: str) -> str:
     return " ".join(str(text or inspect.getdoc(found) or "").split())
 
 
-def _unmeasured(rows: Sequence[Row]) -> list[str]:
+def _unmeasured(rows: Sequence[TextRow]) -> list[str]:
     empty = [
         column.name for column in COLUMNS if not any(int(row[f"n_{column.name}"]) for row in rows)
     ]
@@ -115,14 +115,14 @@ _SPECIAL: Final = {
 }
 
 
-def latex_document(tables: Sequence[Table], notes: Sequence[str]) -> str:
+def latex_document(tables: Sequence[MethodTable], notes: Sequence[str]) -> str:
     """One file with all tables, the notes below them."""
     items = "\n".join(rf"\item {_escaped(note)}" for note in notes)
     listed = f"\\begin{{itemize}}\n{items}\n\\end{{itemize}}"
     return "\n\n".join([*(_table(table) for table in tables), listed]) + "\n"
 
 
-def _table(table: Table) -> str:
+def _table(table: MethodTable) -> str:
     columns = "l" + "c" * (len(table.heads) - 1)
     lines = [
         r"\begin{table*}[ht]",
@@ -142,7 +142,7 @@ def _table(table: Table) -> str:
     return "\n".join([*lines, r"\hline", r"\end{tabular}", r"\end{table*}"])
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: TableCell) -> str:
     text = _escaped(cell.text)
     return rf"\textbf{{{text}}}" if cell.best else text
 
@@ -155,13 +155,13 @@ def _escaped(text: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in text)
 
 
-def markdown_document(title: str, tables: Sequence[Table], notes: Sequence[str]) -> str:
+def markdown_document(title: str, tables: Sequence[MethodTable], notes: Sequence[str]) -> str:
     """One file with all tables, the notes below them."""
     parts = [f"# {title}", *(_markdown_table(table) for table in tables), "## Notes"]
     return "\n\n".join([*parts, "\n".join(f"- {note}" for note in notes)]) + "\n"
 
 
-def _markdown_table(table: Table) -> str:
+def _markdown_table(table: MethodTable) -> str:
     rows: list[list[str]] = []
     for planner, methods in table.blocks:
         rows.append([f"**{planner}**", *[""] * (len(table.heads) - 1)])
@@ -169,5 +169,5 @@ def _markdown_table(table: Table) -> str:
     return "\n".join([f"## {table.title}", "", *to_markdown(table.heads, rows)])
 
 
-def _markdown_cell(cell: Cell) -> str:
+def _markdown_cell(cell: TableCell) -> str:
     return f"**{cell.text}**" if cell.best else cell.text

@@ -8,7 +8,7 @@
 
 from deepmf_sumo.results.gate.own_hits import SameAttacks
 from deepmf_sumo.results.gate.thresholds import Thresholds, load
-from deepmf_sumo.results.gate.verdict import Verdict, check
+from deepmf_sumo.results.gate.verdict import GateVerdict, check
 from deepmf_sumo.results.run_sets import read
 
-__all__ = ["SameAttacks", "Thresholds", "Verdict", "check", "load", "read"]
+__all__ = ["GateVerdict", "SameAttacks", "Thresholds", "check", "load", "read"]

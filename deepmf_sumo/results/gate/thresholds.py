@@ -32,7 +32,7 @@ def _known(name: str) -> str:
 QuantityName = Annotated[str, AfterValidator(_known)]
 
 
-class Limits(Strict):
+class GroupLimits(Strict):
     """Bounds over a group of runs; None: not bounded.
 
     Attributes:
@@ -112,10 +112,10 @@ def _named(value: object) -> object:
     return {"results": value} if isinstance(value, str) else value
 
 
-Groups = dict[str, Limits]
+Groups = dict[str, GroupLimits]
 
 
-class Thresholds(Limits):
+class Thresholds(GroupLimits):
     """Bounds over all runs, and over those of single specs, networks and planners.
 
     Attributes:
@@ -160,7 +160,7 @@ _COUNTS: Final = ("max_failed_runs", "max_skipped_runs", "min_judged_runs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
+class BoundJudgement:
     """One bound over one group of runs.
 
     Attributes:
@@ -184,7 +184,7 @@ class Judgement:
     blamed: tuple[str, ...] = ()
 
 
-def judge(thresholds: Thresholds, runs: pd.DataFrame) -> list[Judgement]:
+def judge(thresholds: Thresholds, runs: pd.DataFrame) -> list[BoundJudgement]:
     """Every bound, over all runs of a `run_sets.RunSet` and over each group.
 
     Raises UsageError for a group that no run belongs to.
@@ -198,10 +198,10 @@ def judge(thresholds: Thresholds, runs: pd.DataFrame) -> list[Judgement]:
 
 def _groups(
     thresholds: Thresholds, runs: pd.DataFrame
-) -> Iterator[tuple[str, Limits, pd.DataFrame]]:
+) -> Iterator[tuple[str, GroupLimits, pd.DataFrame]]:
     yield ALL, thresholds, runs
     for kind, column in COLUMN.items():
-        groups: dict[str, Limits] = getattr(thresholds, f"{kind}s")
+        groups: dict[str, GroupLimits] = getattr(thresholds, f"{kind}s")
         for pattern, limits in groups.items():
             members = runs[[fnmatchcase(name, pattern) for name in runs[column]]]
             if members.empty:
@@ -213,8 +213,8 @@ def _groups(
             yield f"{kind} {pattern}", limits, members
 
 
-def _judge(group: str, limits: Limits, runs: pd.DataFrame) -> Iterator[Judgement]:
-    for limit in Limits.model_fields:
+def _judge(group: str, limits: GroupLimits, runs: pd.DataFrame) -> Iterator[BoundJudgement]:
+    for limit in GroupLimits.model_fields:
         bound = getattr(limits, limit)
         if bound is None or limit == "limits":
             continue
@@ -234,7 +234,7 @@ RULES_KEPT: Final = "rules_broken"
 """Limit of a judgement: how many of the limits that are set by default runs are beyond."""
 
 
-def _rules(group: str, limits: Limits, runs: pd.DataFrame) -> Iterator[Judgement]:
+def _rules(group: str, limits: GroupLimits, runs: pd.DataFrame) -> Iterator[BoundJudgement]:
     """Limits of quantities. The defaults are one judgement together, if all hold.
 
     Runs of earlier versions have no values, and without one nothing is said.
@@ -250,12 +250,12 @@ def _rules(group: str, limits: Limits, runs: pd.DataFrame) -> Iterator[Judgement
     yield from broken
     most = max((one.runs for one in found), default=0)
     if most and not broken:
-        yield Judgement(
+        yield BoundJudgement(
             group=group, limit=RULES_KEPT, bound=0, value=0, unit="", runs=most, state="held"
         )
 
 
-def _limit(group: str, name: str, bound: float, runs: pd.DataFrame) -> Judgement:
+def _limit(group: str, name: str, bound: float, runs: pd.DataFrame) -> BoundJudgement:
     """No run is worse."""
     quantity, values = COMPARABLE[name], _values(name, runs)
     if not values:
@@ -263,13 +263,13 @@ def _limit(group: str, name: str, bound: float, runs: pd.DataFrame) -> Judgement
     lower = quantity.worse == "lower"
     worst = (min if lower else max)(values.values())
     blamed = [key for key, one in values.items() if (one < bound if lower else one > bound)]
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=name, bound=bound, value=worst, unit=quantity.unit, runs=len(values),
         state="broken" if blamed else "held", blamed=tuple(blamed),
     )  # fmt: skip
 
 
-def _count(group: str, limit: str, bound: int, runs: pd.DataFrame) -> Judgement:
+def _count(group: str, limit: str, bound: int, runs: pd.DataFrame) -> BoundJudgement:
     if limit == "min_judged_runs":
         count, blamed = int(runs["judged"].sum()), []
         fits = count >= bound
@@ -277,13 +277,13 @@ def _count(group: str, limit: str, bound: int, runs: pd.DataFrame) -> Judgement:
         wanted = UNFINISHED if limit == "max_failed_runs" else {"skipped"}
         blamed = list(runs.loc[runs["status"].isin(wanted), "run_id"])
         count, fits = len(blamed), len(blamed) <= bound
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=limit, bound=bound, value=count, unit="", runs=len(runs),
         state="held" if fits else "unfit", blamed=() if fits else tuple(blamed),
     )  # fmt: skip
 
 
-def _rate(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
+def _rate(group: str, limit: str, bound: float, runs: pd.DataFrame) -> BoundJudgement:
     name = limit.removeprefix("max_")
     values = _values(name, runs)
     if not values:
@@ -291,14 +291,14 @@ def _rate(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement
     hits = [run_id for run_id, value in values.items() if value]
     rate, low, high = frames.rate(runs, name)
     broken = rate > bound
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=limit, bound=bound, value=rate, unit="1", runs=len(values),
         state="broken" if broken else "held", interval=(low, high),
         blamed=tuple(hits) if broken else (),
     )  # fmt: skip
 
 
-def _percentile(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
+def _percentile(group: str, limit: str, bound: float, runs: pd.DataFrame) -> BoundJudgement:
     """The value of a run: at most 5 % of the runs are below it."""
     name = _PERCENTILES[limit]
     values = _values(name, runs)
@@ -306,19 +306,19 @@ def _percentile(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Jud
         return _without_value(group, limit, bound, COMPARABLE[name], runs)
     value = float(np.percentile(list(values.values()), 5, method="inverted_cdf"))
     blamed = [run_id for run_id, each in values.items() if each < bound] if value < bound else []
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=limit, bound=bound, value=value, unit=COMPARABLE[name].unit,
         runs=len(values), state="broken" if blamed else "held", blamed=tuple(blamed),
     )  # fmt: skip
 
 
-def _greatest(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judgement:
+def _greatest(group: str, limit: str, bound: float, runs: pd.DataFrame) -> BoundJudgement:
     name = _GREATEST[limit]
     values = _values(name, runs)
     if not values:
         return _without_value(group, limit, bound, COMPARABLE[name], runs)
     blamed = [run_id for run_id, each in values.items() if each > bound]
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=limit, bound=bound, value=max(values.values()),
         unit=COMPARABLE[name].unit, runs=len(values), state="broken" if blamed else "held",
         blamed=tuple(blamed),
@@ -327,11 +327,11 @@ def _greatest(group: str, limit: str, bound: float, runs: pd.DataFrame) -> Judge
 
 def _without_value(
     group: str, limit: str, bound: float, quantity: Quantity, runs: pd.DataFrame
-) -> Judgement:
+) -> BoundJudgement:
     """Fine where nothing happened that could be measured; no basis where it was not measured."""
     hits = _values("collision_rate", runs)
     missed = any(hits.values()) if quantity.of_hits else bool(hits)
-    return Judgement(
+    return BoundJudgement(
         group=group, limit=limit, bound=bound, value=None, unit=quantity.unit, runs=0,
         state="unfit" if missed else "no value",
     )  # fmt: skip

@@ -26,7 +26,7 @@ from deepmf_sumo.results.gate.thresholds import (
     ALL,
     UNFINISHED,
     Baseline,
-    Judgement,
+    BoundJudgement,
     Thresholds,
     judge,
 )
@@ -42,7 +42,7 @@ _NAMED: Final = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class GateVerdict:
     """What holds, what does not, and why.
 
     Attributes:
@@ -53,7 +53,7 @@ class Verdict:
     """
 
     results: RunSet
-    judgements: list[Judgement]
+    judgements: list[BoundJudgement]
     baseline: Path | None
     comparisons: list[QuantityChange] | None
     same_attacks: SameAttacks | None
@@ -88,7 +88,7 @@ class Verdict:
         yield from self._broken()
         yield from self._open()
 
-    def _example(self, one: Judgement) -> str:
+    def _example(self, one: BoundJudgement) -> str:
         """``; e.g. RUN: the planner ...``: why a run has no result, where that is the matter."""
         runs = self.results.runs
         [*first] = rows_of(runs[runs["run_id"].isin(one.blamed[:1])])
@@ -130,7 +130,7 @@ def check(
     baseline: Path | None = None,
     renewed: Path | None = None,
     repeat: Callable[[Path, Path], SameAttacks] | None = None,
-) -> Verdict:
+) -> GateVerdict:
     """Judge a result folder.
 
     Args:
@@ -164,7 +164,7 @@ def check(
             comparisons = comparison.compare(thresholds.baseline, found, old)
             notes = list(_notes(thresholds.baseline, found, old, comparisons))
             same_attacks = repeat(out, place) if repeat else None
-    return Verdict(
+    return GateVerdict(
         results=found,
         judgements=judgements,
         baseline=place,
@@ -175,16 +175,16 @@ def check(
     )
 
 
-def _attacked_throughout(found: RunSet) -> Iterator[Judgement]:
+def _attacked_throughout(found: RunSet) -> Iterator[BoundJudgement]:
     """No verdict on a live session in which attacks were off: without any, every AV is good."""
     if found.switched_off:
-        yield Judgement(
+        yield BoundJudgement(
             group=ALL, limit="attacks_switched_off", bound=0, value=len(found.switched_off),
             unit="", runs=len(found.runs), state="unfit",
         )  # fmt: skip
 
 
-def sentence(one: Judgement) -> str:
+def sentence(one: BoundJudgement) -> str:
     """``all runs: max_av_collision_rate is 0.4 (0.2 to 0.6, 10 runs), allowed 0.3``."""
     if one.value is None:
         return f"{one.group}: {one.limit} cannot be judged: no run has a value"
@@ -326,14 +326,14 @@ _TITLES: Final = {0: "passed", 1: "failed", 3: "no verdict"}
 _MARKS: Final = {"held": "held", "broken": "**broken**", "unfit": "**no basis**"}
 
 
-def write_summary(path: Path, verdict: Verdict) -> None:
+def write_summary(path: Path, verdict: GateVerdict) -> None:
     """Add it to the end of a file, as job pages expect. Raises OutputError."""
     with files.writing(path):
         before = files.text(path) if path.exists() else ""
         files.write(path, before + text(verdict))
 
 
-def text(verdict: Verdict) -> str:
+def text(verdict: GateVerdict) -> str:
     """Title, tables, and the runs to look at; long lists are cut, which the text says."""
     lines = [f"## deepmf-sumo: {_TITLES[verdict.exit_code]}", "", counts(verdict), ""]
     lines += to_markdown(
@@ -363,7 +363,7 @@ def text(verdict: Verdict) -> str:
     return "\n".join(lines) + "\n\n"
 
 
-def counts(verdict: Verdict) -> str:
+def counts(verdict: GateVerdict) -> str:
     """``40 runs: 36 judged, 3 with no vehicle to attack, 1 failed or missing; profile fair``."""
     runs, attacks = verdict.results.runs, verdict.results.attacks
     told = headline(setups.meant(attacks.get(one, {})) for one in runs["setup"])
@@ -378,7 +378,7 @@ def counts(verdict: Verdict) -> str:
     return f"{len(runs)} run{_s(len(runs))}: {', '.join(parts)}{'; ' * bool(told)}{told}"
 
 
-def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:
+def thresholds(verdict: GateVerdict) -> Iterator[tuple[str, ...]]:
     """Cells of the table of thresholds."""
     for one in verdict.judgements:
         value = "-" if one.value is None else figure(one.value, one.unit)
@@ -388,7 +388,7 @@ def thresholds(verdict: Verdict) -> Iterator[tuple[str, ...]]:
         yield (one.group, one.limit, bound, value, str(one.runs), _MARKS.get(one.state, one.state))
 
 
-def comparisons(verdict: Verdict) -> Iterator[tuple[str, ...]]:
+def comparisons(verdict: GateVerdict) -> Iterator[tuple[str, ...]]:
     """Cells of the table of comparisons."""
     for one in verdict.comparisons or ():
         ends = (
@@ -404,7 +404,7 @@ def said(one: QuantityChange) -> str:
     return "passed" if one.state == "within margin" else one.state
 
 
-def _blamed(verdict: Verdict) -> list[str]:
+def _blamed(verdict: GateVerdict) -> list[str]:
     return [
         f"- `{run.run_id}`: {'; '.join(found)}"
         for run in rows_of(verdict.results.runs)
@@ -417,7 +417,7 @@ def _unfinished(runs: pd.DataFrame) -> list[str]:
     return [f"- `{run.run_id}`: {run.status}, {run.error}" for run in rows_of(left)]
 
 
-def write_junit(path: Path, verdict: Verdict) -> None:
+def write_junit(path: Path, verdict: GateVerdict) -> None:
     """Write the file. Raises OutputError."""
     suites = [("thresholds", [_threshold(one) for one in verdict.judgements])]
     if verdict.comparisons is not None:
@@ -438,7 +438,7 @@ def write_junit(path: Path, verdict: Verdict) -> None:
         write_suites(path, [*suites, *by_spec.items()])
 
 
-def _threshold(one: Judgement) -> TestCase:
+def _threshold(one: BoundJudgement) -> TestCase:
     text, marks = sentence(one), []
     if one.state == "no value":
         marks = [Mark("skipped", text)]
@@ -461,7 +461,7 @@ def _same_attacks(one: SameAttacks) -> TestCase:
     return TestCase(classname="baseline: all runs", name="same attacks", marks=marks)
 
 
-def _run(run: Any, verdict: Verdict, *, tolerated: bool) -> TestCase:
+def _run(run: Any, verdict: GateVerdict, *, tolerated: bool) -> TestCase:
     failures = verdict.failures(run)
     # in one element: most servers show only the first
     marks = [Mark("failure", "; ".join(failures))] if failures else []
@@ -484,7 +484,7 @@ def _run(run: Any, verdict: Verdict, *, tolerated: bool) -> TestCase:
     )
 
 
-def _tolerated(verdict: Verdict) -> bool:
+def _tolerated(verdict: GateVerdict) -> bool:
     """Whether no more runs failed than are allowed."""
     return not any(
         one.limit == "max_failed_runs" and one.state == "unfit" for one in verdict.judgements

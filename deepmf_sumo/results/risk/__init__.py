@@ -7,18 +7,18 @@
 """
 
 from deepmf_sumo.results.risk.attack_table import ATTACKED, attack_rows
-from deepmf_sumo.results.risk.attacks import Attacked, Conflict, Network, conflicts, read
-from deepmf_sumo.results.risk.coverage import Cell, coverage
+from deepmf_sumo.results.risk.attacks import Attacked, Network, PlacePair, conflicts, read
+from deepmf_sumo.results.risk.coverage import EvidenceCell, coverage
 from deepmf_sumo.results.risk.kinds import by_type
-from deepmf_sumo.results.risk.table import Row, columns, rows, worst
+from deepmf_sumo.results.risk.table import PlaceRow, columns, rows, worst
 
 __all__ = [
     "ATTACKED",
     "Attacked",
-    "Cell",
-    "Conflict",
+    "EvidenceCell",
     "Network",
-    "Row",
+    "PlacePair",
+    "PlaceRow",
     "attack_rows",
     "by_type",
     "columns",

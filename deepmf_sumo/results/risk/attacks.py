@@ -26,7 +26,7 @@ from deepmf_sumo.results.reader import MISSING, Run
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.risk import passing
 from deepmf_sumo.results.risk import places as places_module
-from deepmf_sumo.results.risk.driving import NOTHING, Driven, driven
+from deepmf_sumo.results.risk.driving import NOTHING, DrivenUnderAttack, driven
 from deepmf_sumo.results.risk.passing import Traffic
 from deepmf_sumo.results.risk.places import Places, Spot
 from deepmf_sumo.results.risk.tracks import OFF, Spots, nearest_step, read_tracks
@@ -79,7 +79,7 @@ class Attacked:
     kind: ConflictType | None = None
     pet_s: float | None = None
     speed_mps: float = 0.0
-    driven: Driven = NOTHING
+    driven: DrivenUnderAttack = NOTHING
     cause: tuple[str, ...] | None = None
     av: str = ""
     opponent: str = ""
@@ -173,7 +173,7 @@ def _kind_of(found: RecordedTracks, agent: str) -> str:
     return tracks.kinds[tracks.row(agent)] if agent in tracks.ids else ""
 
 
-def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> Driven:
+def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> DrivenUnderAttack:
     """Where the AV was and what it did from the attack's begin to its contact, or its end."""
     row = found.tracks.row(found.av_id)
     there = found.tracks.valid[row, first : last + 1]
@@ -374,7 +374,7 @@ def _net_file(folder: Path) -> Path:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Conflict:
+class PlacePair:
     """Attacks on an AV at one movement or edge by an opponent at another, or at the same.
 
     Attributes:
@@ -390,7 +390,7 @@ class Conflict:
     judged: int
 
 
-def conflicts(network: Network) -> list[Conflict]:
+def conflicts(network: Network) -> list[PlacePair]:
     """All pairs of places, those with most hits first."""
     groups: dict[tuple[str, str], list[Attacked]] = {}
     for one in network.attacks:
@@ -400,9 +400,9 @@ def conflicts(network: Network) -> list[Conflict]:
     return sorted(found, key=lambda one: (-one.hits, -one.attacks, one.place, one.against))
 
 
-def _conflict(place: str, against: str, group: Iterable[Attacked]) -> Conflict:
+def _conflict(place: str, against: str, group: Iterable[Attacked]) -> PlacePair:
     attacks = list(group)
-    return Conflict(
+    return PlacePair(
         place=place,
         against=against,
         attacks=len(attacks),

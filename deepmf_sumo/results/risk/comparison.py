@@ -19,7 +19,7 @@ from deepmf_sumo.results.comparison import QuantityChange, change
 from deepmf_sumo.results.quantities import COMPARABLE, Quantity, no_quantity
 from deepmf_sumo.results.reader import MISSING, Run, judged_before, without_ladder
 from deepmf_sumo.results.risk.attacks import net_digest
-from deepmf_sumo.results.risk.origins import Origin, origins, tagged
+from deepmf_sumo.results.risk.origins import HitOrigin, origins, tagged
 from deepmf_sumo.results.run_sets import RunSet
 from deepmf_sumo.results.setups import WHOM, differing
 from deepmf_sumo.results.stored import inputs_of, result_folders
@@ -139,7 +139,7 @@ class Compared:
     pairs: int
     differs: Differs
     differences: list[QuantityChange]
-    origins: list[Origin]
+    origins: list[HitOrigin]
     notes: list[str]
 
 

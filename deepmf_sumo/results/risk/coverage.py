@@ -23,8 +23,8 @@ from deepmf_sumo.results.risk.places import Kind, Places
 from deepmf_sumo.results.risk.table import happened, rate
 from deepmf_sumo.results.statistics import Interval
 
-Table = Literal["environment", "manoeuvre", "conflict", "rule", "place"]
-TABLES: Final[Mapping[Table, str]] = {
+EvidenceTable = Literal["environment", "manoeuvre", "conflict", "rule", "place"]
+TABLES: Final[Mapping[EvidenceTable, str]] = {
     "environment": "Environment, where the AV was while it was attacked",
     "manoeuvre": "What the AV did while it was attacked",
     "conflict": "Kind of conflict that it was, or would have been",
@@ -71,13 +71,13 @@ _DRIVEN_RULES: Final = {
 class Subject(NamedTuple):
     """What a cell is about, in one of the tables."""
 
-    table: Table
+    table: EvidenceTable
     subject: str
     name: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
+class EvidenceCell:
     """What is known of attacks of one sort.
 
     Attributes:
@@ -90,7 +90,7 @@ class Cell:
         reason: why there is no attack; else empty.
     """
 
-    table: Table
+    table: EvidenceTable
     subject: str
     name: str
     title: str
@@ -116,7 +116,7 @@ class _Entry(NamedTuple):
     never: str = ""
 
 
-def coverage(network: Network) -> list[Cell]:
+def coverage(network: Network) -> list[EvidenceCell]:
     """All cells of the four tables; then all movements and edges that vehicles may use."""
     groups: dict[Subject, list[Attacked]] = defaultdict(list)
     for one in network.attacks:
@@ -258,10 +258,10 @@ def _with(found: Mapping[Element, frozenset[Site]], *names: str) -> frozenset[Si
     return frozenset(site for one, sites in found.items() if one.name in names for site in sites)
 
 
-def _cell(network: Network, entry: _Entry, attacks: Sequence[Attacked]) -> Cell:
+def _cell(network: Network, entry: _Entry, attacks: Sequence[Attacked]) -> EvidenceCell:
     hits = [one for one in attacks if one.hit]
     judged = [one for one in attacks if one.worth is not None or not one.hit]
-    return Cell(
+    return EvidenceCell(
         **entry.key._asdict(),
         title=entry.title,
         attacks=len(attacks),

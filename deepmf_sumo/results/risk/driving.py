@@ -51,7 +51,7 @@ _AT_LIMIT: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Driven:
+class DrivenUnderAttack:
     """What an AV did.
 
     Attributes:
@@ -68,13 +68,13 @@ class Driven:
     at_limit: bool = False
 
 
-NOTHING: Final = Driven()
+NOTHING: Final = DrivenUnderAttack()
 """Of an attack of which no more is known."""
 
 
 def driven(
     tracks: Tracks, av: int, spots: Sequence[Spot], first: int, dt_s: float, places: Places
-) -> Driven:
+) -> DrivenUnderAttack:
     """What the AV, a row of the tracks, did from the step ``first`` on.
 
     Args:
@@ -90,7 +90,7 @@ def driven(
     if _follows(tracks, av, span) * dt_s >= _FOLLOWS_S - 1e-9:
         found.add("follows")
     movements = [places.movements[name] for name in _movements(spots, places)]
-    return Driven(
+    return DrivenUnderAttack(
         manoeuvres=frozenset(found),
         elements=frozenset(_elements(tracks.position_m[av, span], spots, places)),
         rules=frozenset(rule for one in movements for rule in one.rule.split(" / ") if rule),

@@ -28,7 +28,7 @@ _PART: Final = share("part")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
+class HitOrigin:
     """Hits of one kind or at one place, before and after.
 
     Attributes:
@@ -89,7 +89,7 @@ def _sector(number: float) -> str | None:
     return None if math.isnan(number) else str(int(number))
 
 
-def origins(old: pd.DataFrame, new: pd.DataFrame, confidence: float) -> list[Origin]:
+def origins(old: pd.DataFrame, new: pd.DataFrame, confidence: float) -> list[HitOrigin]:
     """All places and kinds with hits; of each dimension the greatest differences first.
 
     The intervals of one dimension hold together with ``confidence``.
@@ -99,7 +99,7 @@ def origins(old: pd.DataFrame, new: pd.DataFrame, confidence: float) -> list[Ori
         new: the same.
         confidence: of all intervals of a dimension.
     """
-    table: list[Origin] = []
+    table: list[HitOrigin] = []
     for dimension in DIMENSIONS:
         values = sorted({str(one) for side in (old, new) for one in side[dimension].dropna()})
         alone = 1 - (1 - confidence) / max(len(values), 1)
@@ -110,14 +110,14 @@ def origins(old: pd.DataFrame, new: pd.DataFrame, confidence: float) -> list[Ori
 
 def _origin(
     dimension: Dimension, value: str, old: pd.DataFrame, new: pd.DataFrame, confidence: float
-) -> Origin:
+) -> HitOrigin:
     """A hit of that kind counts as 1, any other run as 0."""
     sides = [
         side.assign(**{_PART.name: (side[dimension] == value).astype(float)}) for side in (old, new)
     ]
     found = change(_PART, sides[1], sides[0], confidence)
     hits = [round(side[_PART.name].sum()) for side in sides]
-    return Origin(
+    return HitOrigin(
         dimension=dimension,
         value=value,
         hits=(hits[0], hits[1]),
@@ -133,5 +133,5 @@ _STATE: Final[Mapping[str, State]] = {
 }  # fmt: skip
 
 
-def _shift(origin: Origin) -> float:
+def _shift(origin: HitOrigin) -> float:
     return origin.found.difference.mean if origin.found.difference else 0.0

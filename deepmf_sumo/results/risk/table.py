@@ -46,7 +46,7 @@ DEFINITIONS: Final[Mapping[Event, str]] = {name: what for name, (_, what) in _EV
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class PlaceRow:
     """A place, and the attacks that were decided there, or began there.
 
     Attributes:
@@ -97,13 +97,13 @@ class Row:
         return 1000 * self.passing.near_share * self.risk["hit"].rate
 
 
-def rows(network: Network) -> list[Row]:
+def rows(network: Network) -> list[PlaceRow]:
     """All places where something was decided or began; by kind, the worst first.
 
     Where an attack counts twice, with what it began before and where it was decided, the rows say
     under ``counted`` which of the two they are.
     """
-    table: list[Row] = []
+    table: list[PlaceRow] = []
     for counted in COUNTED:
         at = {kind: _by_place(network.attacks, kind, counted) for kind in KINDS}
         for kind in KINDS:
@@ -118,13 +118,15 @@ def rows(network: Network) -> list[Row]:
     return table
 
 
-def worst(table: Iterable[Row], event: Event = "hit", counted: Counted = "decided") -> list[Row]:
+def worst(
+    table: Iterable[PlaceRow], event: Event = "hit", counted: Counted = "decided"
+) -> list[PlaceRow]:
     """Movements and edges in one list, the worst first: each attack was decided at one of them."""
     sites = [row for row in table if row.kind in SITES and row.counted == counted]
     return sorted(sites, key=lambda row: _order(row.risk[event], row.place))
 
 
-def columns(row: Row) -> dict[str, Any]:
+def columns(row: PlaceRow) -> dict[str, Any]:
     """A row's numbers by name, None where there is none; rates with their 95 % intervals."""
     hit, share = row.hit_rate, row.finding_share or (None, None, None)
     risks = {
@@ -212,7 +214,7 @@ def _of_kind(
     groups: Mapping[str, Sequence[Attacked]],
     rates: Mapping[Event, Mapping[str, Interval]],
     means: Mapping[str, PlaceMean],
-) -> list[Row]:
+) -> list[PlaceRow]:
     """Rows of one kind, the worst first."""
     risks = {place: {event: rates[event][place] for event in EVENTS} for place in groups}
     rank = {event: _ranks({name: one[event] for name, one in risks.items()}) for event in EVENTS}
@@ -252,12 +254,12 @@ def _order(risk: Interval, place: str) -> tuple[float, float, str]:
     return -round(risk.low, 9), -round(risk.rate, 9), place
 
 
-def _row(group: Sequence[Attacked], **named: Any) -> Row:
+def _row(group: Sequence[Attacked], **named: Any) -> PlaceRow:
     speeds = [one.delta_v_mps for one in group if one.hit and one.delta_v_mps is not None]
     found = statistics.weighted(
         (one.unit, float(one.finding), one.weight) for one in group if one.worth is not None
     )
-    return Row(
+    return PlaceRow(
         hit_rate=rate(group),
         finding_share=statistics.rate_of(found) if found.values else None,
         attacks=len(group),
