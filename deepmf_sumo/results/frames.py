@@ -16,7 +16,7 @@ from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.results import findings, statistics
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.reader import HIT, Results, Run
-from deepmf_sumo.results.result import COLUMNS, Result, attacked
+from deepmf_sumo.results.result import COLUMNS, Result, attacked, known_of
 from deepmf_sumo.results.setups import moment_of, setup_of
 from deepmf_sumo.scene import DT_S
 
@@ -62,7 +62,7 @@ def run_row(run: Run, result: Result | None) -> dict[str, Any]:
     has_opponent = run.status == "ok" and bool(run.row["opponent"])
     return {
         **_about(run),
-        **{name: _value(run, name) for name in COLUMNS if name not in _RUN},
+        **_cells(run, result),
         "network": (result or run.row).get("network") or None,
         "part": run.part,
         "moment": moment_of(result) if result else "",
@@ -98,9 +98,16 @@ def _about(run: Run) -> dict[str, Any]:
     return dict(zip(_RUN, known, strict=True))
 
 
-def _value(run: Run, name: str) -> Any:
-    """A cell of ``runs.csv``."""
-    return run.number(name) if name in _NUMBERS else run.row.get(name, "")
+def _cells(run: Run, result: Result | None) -> dict[str, Any]:
+    """Those of ``runs.csv``; what tables of earlier versions lack is that of the result."""
+    names = [name for name in COLUMNS if name not in _RUN]
+    lack = result is not None and any(name not in run.row for name in names)
+    more = known_of(result) if result is not None and lack else {}
+    return {name: _cell_of(run, name) if name in run.row else more.get(name) for name in names}
+
+
+def _cell_of(run: Run, name: str) -> Any:
+    return run.number(name) if name in _NUMBERS else run.row[name]
 
 
 def attacks_of(run: Run) -> Iterator[dict[str, Any]]:

@@ -15,6 +15,7 @@ from deepmf_sumo.results.quantities import BY_NAME, COMPARABLE, QUANTITIES
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.results.result import COLUMNS
 from deepmf_sumo.results.result import row as row_of_run
+from deepmf_sumo.results.stored import NEEDED
 from deepmf_sumo.tables import to_csv
 
 from tests.support import gate_doubles
@@ -82,6 +83,14 @@ def test_contacts(results):
     assert (row["scene"], row["time_s"], row["step"], row["sector"]) == ("a", 1.5, 25, 3)
     assert (row["kind"], row["first_id"], row["striker_id"]) == ("av_opponent", "av", None)
     assert np.isnan(row["delta_v_mps"])
+
+
+def test_what_tables_of_earlier_versions_lack_is_that_of_the_result(results, tmp_path):
+    now = results.frame()
+    file = tmp_path / "out" / "runs.csv"
+    pd.read_csv(file, dtype=str)[list(NEEDED)].to_csv(file, index=False)
+    columns = [name for name in now if name not in {"error", "part"}]
+    pd.testing.assert_frame_equal(Results.open(tmp_path / "out").frame()[columns], now[columns])
 
 
 @pytest.mark.parametrize("kind", frames.KINDS)
