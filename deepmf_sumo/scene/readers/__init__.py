@@ -1,9 +1,13 @@
 """Recorded file or folder -> Scene: one module per format; `base.Reader` is the contract.
 
-A format is recognised by its content: every plug-in of the folder is asked. Each root (a file, or
-the folder of a scene) is read in a separate process (`_bounded`), so that none can end a sweep or
-a listing. `records` lists the locations of scenes, and can keep them in a cache folder; `read`
-reads one scene.
+A format is recognised by its content: every plug-in of the folder is asked. `records` lists the
+locations of scenes, and can keep them in a cache folder; `read` reads one scene.
+
+Files come from strangers, and there is one wall against them: each root (a file, or the folder of a
+scene) is read in a process of its own with limits for time and memory (`_bounded`), whose end costs
+one row of a listing or a sweep. Formats have no limits of their own, then, and refuse only what
+could run code or reach into memory (`_pickle`). In the same way all checks and repairs of what a
+file says are in one place (`raw.repair`), so that a fault has the same outcome in every format.
 """
 
 import hashlib

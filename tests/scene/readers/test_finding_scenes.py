@@ -105,6 +105,7 @@ def test_a_listed_scene_is_read_without_a_search(data, tmp_path, monkeypatch):
         ("g", 0, "gpudrive"),
     ]
     assert refs == list(readers.records(data, tmp_path / "cache")) == list(readers.records(data))
+    assert all(ref.content is None for ref in refs)  # a scene is not sent to be thrown away
     for search in ("find", "_recordings", "_records"):
         monkeypatch.setattr(readers, search, lambda *_: pytest.fail("searched again"))
     monkeypatch.setattr(womd, "recordings", lambda path: pytest.fail("read the others"))
