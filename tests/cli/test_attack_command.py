@@ -237,8 +237,9 @@ def test_several_configurations_go_into_one_folder(tiny, tmp_path, capsys):
     assert found == {slug(tiny.name), slug(tmp_path.name)}
     assert attack(tiny, tmp_path / "bad", tiny / "tiny.sumocfg") == 2
     assert "tiny.sumocfg is given 2 times" in capsys.readouterr().err
-    assert attack(tiny, tmp_path / "bad", other, "--moments-of", out) == 2
-    assert "--moments-of goes with one configuration" in capsys.readouterr().err
+    for again in (["--moments-of", out], ["--set", f"source.moments.of={out}"]):
+        assert attack(tiny, tmp_path / "bad", other, *again) == 2
+        assert "--moments-of goes with one configuration" in capsys.readouterr().err
     assert not (tmp_path / "bad").exists()
 
 

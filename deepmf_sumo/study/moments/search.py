@@ -290,15 +290,16 @@ def documents(
     Raises SimulationError for a configuration that cannot be read, UsageError for a key that the
     command itself sets, or SpecError.
     """
-    if wanted.get("of") and len(configs) > 1:
+    found = [
+        _document(config, name, keys, sets, sumo_options, wanted)
+        for config, name in zip(configs, names_of(configs), strict=True)
+    ]
+    if len(found) > 1 and found[0].values["source"]["moments"].get("of"):
         raise UsageError(
             f"--moments-of goes with one configuration, and {len(configs)} are given: vehicles are"
             " those of one traffic."
         )
-    return [
-        _document(config, name, keys, sets, sumo_options, wanted)
-        for config, name in zip(configs, names_of(configs), strict=True)
-    ]
+    return found
 
 
 def _document(

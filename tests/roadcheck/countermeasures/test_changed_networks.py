@@ -162,6 +162,7 @@ def test_both_sides_are_attacked_at_moments_of_both(tiny, tmp_path, capsys):
     file = tmp_path / "slower.yaml"
     file.write_text("version: 1\nchanges: [{edge: ab, limit_mps: 13.5}]\n")
     arguments = ["try", tiny / "tiny.sumocfg", "--change", file, "-n", 2, "--set", "duration_s=1"]
+    arguments += ["--set", "source.moments.prefer=both"]  # of the moments that a side chooses
     arguments += ["--no-pictures", "--set", "adversary=none", "--out", tmp_path / "out"]
     arguments = list(map(str, arguments))
     assert main.run([*arguments, "-n", "1"]) == 2
