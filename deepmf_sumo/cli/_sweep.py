@@ -170,7 +170,7 @@ def _written() -> tuple[Callable[..., Any], ...]:
     )  # fmt: skip
 
 
-def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
+def show_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
     """Show the table of the runs; returns the exit code."""
     from deepmf_sumo.cli._screen import table
     from deepmf_sumo.report.table import counted
@@ -183,10 +183,10 @@ def end_of_runs(sweep: Sweep, results: "Sequence[Result]") -> int:
         table(results, summary(results), out)
     if missing:
         click.echo(f"{counted(missing, 'run')} not begun: --resume goes on")
-    return end(sweep, results, missing)
+    return exit_code_of(sweep, results, missing)
 
 
-def end(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
+def exit_code_of(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int:
     """The exit code, see `errors.exit_code`.
 
     Thresholds judge the results instead of the expectations of specs and the runs that failed, and

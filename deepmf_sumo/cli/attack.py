@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from deepmf_sumo.cli._parameters import AFTER, FiniteRange, WithSumoOptions
-from deepmf_sumo.cli._sweep import Sweep, end_of_runs, map_risk, options, set_option, sweep_keys
+from deepmf_sumo.cli._sweep import Sweep, map_risk, options, set_option, show_runs, sweep_keys
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.texts import shown
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--moments", "-n", "count", type=click.IntRange(1, 100_000),
-    help="Attack this often in each CONFIG.  [default: 10, or once for each --at]",
+    help="Make this number of attacks in each CONFIG.  [default: 10, or once for each --at]",
 )  # fmt: skip
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
 @click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
@@ -116,7 +116,7 @@ def attacked(
 
     with progress() as report:
         results = plans.run_specs(specs, sweep.options, report, announce, by_option=True)
-    code = end_of_runs(sweep, results)
+    code = show_runs(sweep, results)
     tell_causes(sweep.options.out)
     if told := no_conflict(results, looked):
         click.echo(shown(told))

@@ -27,7 +27,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option(
     "--same-attacks", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
     help="Repeat the hits of OUT and of the baseline's folder with both planners, the opponent on "
-    "the path that it drove; runs go into FOLDER, and those that it has are kept.",
+    "the path that it drove. Store the runs in FOLDER, and reuse those that it has.",
 )  # fmt: skip
 @click.option(
     "--jobs", "-j", type=click.IntRange(1, 4096), default=1, show_default=True,

@@ -21,7 +21,7 @@ from deepmf_sumo.cli._parameters import RESULTS, FiniteRange, format_option
 )  # fmt: skip
 @click.option(
     "--confidence", type=FiniteRange(0.5, 1, max_open=True), default=0.95, show_default=True,
-    help="Let all intervals of a table hold together with this probability.",
+    help="Give all intervals of a table this simultaneous confidence level.",
 )  # fmt: skip
 def command(
     a: Path, b: Path, form: str, out: Path | None, quantities: tuple[str, ...], confidence: float

@@ -16,10 +16,7 @@ from deepmf_sumo.errors import exit_code
 @click.option("--overwrite", is_flag=True, help="Delete the results that OUT has.")
 @click.pass_context
 def command(ctx: click.Context, out: Path, shards: tuple[Path, ...], overwrite: bool) -> None:
-    """Join the folders SHARD... of runs with --shard in OUT, as if run in one piece.
-
-    They are those of one command, run or attack.
-    """
+    """Merge the shards of one sweep, of run or attack with --shard, into the folder OUT."""
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.cli._sweep import map_risk
     from deepmf_sumo.report import benchmark

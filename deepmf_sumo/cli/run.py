@@ -9,10 +9,10 @@ import click
 from deepmf_sumo.cli._parameters import Seeds
 from deepmf_sumo.cli._sweep import (
     Sweep,
-    end,
-    end_of_runs,
+    exit_code_of,
     options,
     set_option,
+    show_runs,
     sweep_keys,
     write_page,
 )
@@ -89,7 +89,7 @@ def command(
         results = plans.run_specs(specs, sweep.options, show, announce_moments)
     if report:
         write_page(sweep.options.out)
-    ctx.exit(end_of_runs(sweep, results))
+    ctx.exit(show_runs(sweep, results))
 
 
 def _check_seeds(seed: int | None, seeds: tuple[int, ...] | None, sets: Sequence[str]) -> None:
@@ -137,4 +137,4 @@ def _run_plan(plan: "Loaded", sweep: Sweep, *, page: bool) -> int:
         write_page(out)
     expected = plans.expected(out, sweep.options.shard)
     show_study(out, results, expected, made)
-    return end(sweep, results, expected - len(results))
+    return exit_code_of(sweep, results, expected - len(results))

@@ -18,7 +18,7 @@ _TOP: Final = 30
 _STYLES: Final = {"error": "red", "warning": ""}
 
 
-@click.command("screen", short_help="Hold a network against a guideline, without running it.")
+@click.command("screen", short_help="Check a network against a design guideline (no simulation).")
 @click.argument("file", metavar="NET", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "--guideline", type=click.Choice(["rilsa", "ite"]), default="rilsa", show_default=True,

@@ -28,7 +28,7 @@ _SUMO_ENDS_S: Final = 5.0
 @click.command(
     name="serve",
     cls=WithSumoOptions,
-    short_help="Be SUMO for a TraCI client, and attack its vehicle.",
+    short_help="Run SUMO behind a port that attacks the client's vehicle.",
     params=[one for one in attach.command.params if one.name not in _OTHERS],
 )
 @click.argument(

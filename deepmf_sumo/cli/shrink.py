@@ -16,7 +16,7 @@ import click
 )  # fmt: skip
 @click.option(
     "--simulations", metavar="N", type=click.IntRange(min=3), default=60, show_default=True,
-    help="Simulate at most so often.",
+    help="Make at most this number of simulations.",
 )  # fmt: skip
 def command(folder: Path, run_id: str | None, file: Path, simulations: int) -> None:
     """Find the smallest reproducer of a hit that still fails in the same way, and write its spec.

@@ -57,8 +57,8 @@ def command(
     """Change the network of CONFIG, a .sumocfg, attack it with and without the changes, compare.
 
     Half of the --moments are chosen in the traffic before the changes and half in that after them,
-    and all are attacked on both sides: the same vehicle at the same time. So neither side has
-    moments that suit it. Writes OUT/before and OUT/after with results, the changed network, and
+    and all are attacked on both sides: the same vehicle at the same time. This avoids favouring
+    either design. Writes OUT/before and OUT/after with results, the changed network, and
     OUT/patch, which netconvert and netedit take. --set sets what attack sets.
     """
     from deepmf_sumo.roadcheck import countermeasures

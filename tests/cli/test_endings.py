@@ -30,7 +30,7 @@ def test_the_worst_ending_counts(tmp_path, monkeypatch, form, judged):
         sweep = SimpleNamespace(
             options=options, keys=SimpleNamespace(thresholds=judged, baseline=None)
         )
-        code = _sweep.end(sweep, [each, other], missing)
+        code = _sweep.exit_code_of(sweep, [each, other], missing)
         if missing:
             expected = 130
         elif run == "wrong":

@@ -97,7 +97,7 @@ class Baseline(Strict):
         quantities: judged; the fewer, the smaller a difference that is seen.
         confidence: of all intervals together, at each of their ends.
         tolerance: how much worse a quantity may be, in its unit; else what is negligible.
-        rule_out: how much worse it must not be able to be for a pass; else the quantity's own.
+        rule_out: largest worsening that must be excluded for a pass; by default the quantity's own.
     """
 
     results: str | None = None
