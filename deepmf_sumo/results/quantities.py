@@ -5,13 +5,13 @@ here: a new one is one entry. A rate is the mean of zeros and ones, so that mean
 differences treat all quantities alike.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, Final, Literal, NamedTuple
 
 from deepmf_sumo.results import findings
-from deepmf_sumo.results.result import ContactValues, Result, attacked, first_contact
+from deepmf_sumo.results.result import ContactValues, Result, attacked
 
 Value = Callable[[Result], float | None]
 Better = Literal["lower", "higher", "neither"]
@@ -144,18 +144,6 @@ def metric(result: Result, name: str) -> float | None:
     return None if found is None else found["value"]
 
 
-def sector(result: Result) -> int | None:
-    """Where the opponent hit the AV, 0 (front) to 7, counter-clockwise; None if it did not."""
-    contact = first_contact(result) if hit(result) else None
-    return int(contact["sector"]) if contact else None
-
-
-def accident(result: Result) -> int | None:
-    """Number of the accident's name; None without a hit, or where it was not measured."""
-    number = metric(result, "accident_type")
-    return None if number is None else round(number)
-
-
 def _flag(name: str, test: Callable[[float], bool]) -> Value:
     def value(result: Result) -> float | None:
         found = metric(result, name)
@@ -172,12 +160,6 @@ def values(result: Result) -> dict[str, float | None]:
 def worth(result: Result) -> findings.Worth | None:
     """What the hit of a run is worth; None without a hit, or where that is not known."""
     return findings.worth(values(result)) if hit(result) else None
-
-
-def without_ladder(results: Iterable[Result]) -> str:
-    """A sentence on the hits of versions without a ladder; empty if there are none."""
-    hits = [values(one) for one in results if one["status"] == "ok" and hit(one)]
-    return findings.earlier_note(sum(map(findings.earlier, hits)), len(hits))
 
 
 def _contacts(result: Result) -> list[ContactValues]:

@@ -12,10 +12,10 @@ import pandas as pd
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.results import planned, quantities, sessions, stored
+from deepmf_sumo.results import planned, sessions, stored
 from deepmf_sumo.results.frames import digest_of
 from deepmf_sumo.results.quantities import COMPARABLE
-from deepmf_sumo.results.reader import Run
+from deepmf_sumo.results.reader import Run, without_ladder
 from deepmf_sumo.results.setups import setup_of
 
 FORMAT_VERSION: Final = 3
@@ -83,8 +83,7 @@ def write(path: Path, found: RunSet) -> None:
 def _of_folder(out: Path) -> RunSet:
     version = str(stored.manifest_of(out).get("version"))
     found = planned.read(out)
-    results = [run.result for run in found.runs if run.has_result]
-    setups = [setup_of(one) for one in results]
+    setups = [setup_of(run.result) for run in found.runs if run.has_result]
     runs = found.frame()
     runs["wall_s"] = runs["wall_s"].fillna(0.0)
     runs["network"] = runs["network"].where(runs["network"].notna(), runs["scene"])
@@ -97,7 +96,7 @@ def _of_folder(out: Path) -> RunSet:
         runs=_rounded(_with_texts(runs)),
         attacks={digest_of(setup): setup for setup in setups},
         switched_off=sessions.switched_off(out),
-        earlier=quantities.without_ladder(results),
+        earlier=without_ladder(found.runs),
         each=found.runs,
     )
 

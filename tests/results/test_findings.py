@@ -9,6 +9,7 @@ from deepmf_sumo.judge import ladder
 from deepmf_sumo.results import findings, gate, junit, quantities
 from deepmf_sumo.results.findings import DRIVERS, Worth
 from deepmf_sumo.results.gate import thresholds
+from deepmf_sumo.results.reader import Run, without_ladder
 from deepmf_sumo.study.shrink import search
 
 from tests.support import gate_doubles, worth_doubles
@@ -62,7 +63,7 @@ def test_a_gate_and_a_risk_map_say_which_hits_an_earlier_version_judged(tmp_path
         gate_doubles.result("miss", metrics=valued({"valid_collision": 0.0})),
         gate_doubles.failed("broken"),
     ]  # fmt: skip
-    assert quantities.without_ladder(results) == note
+    assert without_ladder([Run.of_result(tmp_path, one) for one in results]) == note
     out = gate_doubles.write_folder(tmp_path / "mixed", results)
     assert gate.check(out, thresholds.load(None)).notes == [note]
     out = gate_doubles.write_folder(tmp_path / "today", results[1:])

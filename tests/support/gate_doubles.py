@@ -26,6 +26,7 @@ def result(scene="a", seed=0, *, hit=False, spec="made up", **changes):
         "adversary": "deepmf",
         "settings": {"planner": {}, "adversary": {"period_s": 1.0}},
         "weights": "open",
+        "budget": {},
         "status": "ok",
         "error": "",
         "opponent": "b",

@@ -6,19 +6,18 @@ A ram from behind is a rear-end collision or a cut-in that the AV is hit at the 
 import argparse
 from pathlib import Path
 
+import pandas as pd
+
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
-from deepmf_sumo.results import quantities
-from deepmf_sumo.results.reader import planned
-from deepmf_sumo.results.result import Result, attacked
+from deepmf_sumo.results import planned
 
 _REAR = (3, 4, 5)
+_ALONG = [ACCIDENT_TYPES.index("rear_end"), ACCIDENT_TYPES.index("cut_in")]
 
 
-def is_ram(result: Result) -> bool:
-    """Whether a hit came from behind."""
-    accident = quantities.accident(result)
-    kind = "" if accident is None else ACCIDENT_TYPES[accident]
-    return quantities.sector(result) in _REAR and kind in {"rear_end", "cut_in"}
+def rams(hits: pd.DataFrame) -> int:
+    """How many hits came from behind."""
+    return int((hits["impact_sector"].isin(_REAR) & hits["accident_type"].isin(_ALONG)).sum())
 
 
 def main() -> None:
@@ -28,13 +27,11 @@ def main() -> None:
     print("| results | attacks | hits | rams from behind | avoidable hits |")
     print("| --- | --- | --- | --- | --- |")
     for out in parser.parse_args().folders:
-        done = [one for one in planned(out).values() if one and one["status"] == "ok"]
-        runs = [one for one in done if attacked(one)]
-        hits = [one for one in runs if quantities.hit(one)]
-        avoidable = sum((quantities.metric(one, "avoidable") or 0) >= 1 for one in hits)
-        print(
-            f"| {out.name} | {len(runs)} | {len(hits)} | {sum(map(is_ram, hits))} | {avoidable} |"
-        )
+        runs = planned.read(out).frame()
+        runs = runs[runs["attacked"]]
+        hits = runs[runs["hit"]]
+        avoidable = int((hits["avoidable"] >= 1).sum())
+        print(f"| {out.name} | {len(runs)} | {len(hits)} | {rams(hits)} | {avoidable} |")
 
 
 if __name__ == "__main__":
