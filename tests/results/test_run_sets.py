@@ -44,6 +44,12 @@ def test_values_of_a_hit_and_of_none(tmp_path):
     }
 
 
+def test_a_folder_and_its_file_are_rounded_alike(tmp_path):
+    one = gate_doubles.result("a", metrics={"min_gap": {"value": 1.23456789}})
+    out = gate_doubles.write_folder(tmp_path / "out", [one])
+    assert values(run_sets.read(out), "made-up--a--0")["min_gap_m"] == 1.234568
+
+
 def test_who_is_judged(tmp_path):
     nobody = {"opponent": None, "metrics": {}}
     other = [{"kind": "av_other", "sector": 0, "relative_mps": 3.0}]

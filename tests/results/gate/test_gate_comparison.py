@@ -6,8 +6,10 @@ from scipy.stats import binom
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results import statistics
+from deepmf_sumo.results.comparison import change
 from deepmf_sumo.results.gate import comparison
 from deepmf_sumo.results.gate.thresholds import Baseline
+from deepmf_sumo.results.quantities import COMPARABLE
 
 from tests.support import gate_doubles
 
@@ -45,6 +47,16 @@ def test_equal_results_pass():
     assert (found.state, found.found.by, found.found.count) == ("within margin", "pairs", 20)
     assert (found.found.old, found.found.new) == (0.35, 0.35)
     assert found.found.difference == pytest.approx((0, -0.1391, 0.1391), abs=1e-4)
+
+
+def test_a_gate_asks_for_no_more_than_that_nothing_is_worse():
+    """It may be better by any amount: only one end of the interval matters."""
+    new, old = rate_of(0), rate_of(3)
+    [found] = compared(RATE, new, old)
+    assert found.state == PASSED
+    assert found.found.difference.low < -found.margin
+    both = change(COMPARABLE["av_collision_rate"], new.runs, old.runs, found.found.confidence)
+    assert (both.found, both.state) == (found.found, "cannot tell")
 
 
 @pytest.mark.parametrize("specs", [5, 13])
