@@ -39,12 +39,14 @@ class Courses:
 
     Attributes:
         path_m: (M, G) points. ahead_m: (M, G) from each point to the next, 0 at the end.
+        square_m2: (M, G) squares of these distances, above 0.
         fastest_mps: (M, G) highest speeds at which the curves ahead can still be driven.
-        due_m, speed_mps, accel_mps2: (M, F + 1) of the references. row: (M) flat index of points 0.
+        due_m, speed_mps, accel_mps2: (F + 1, M) of the references. row: (M) flat index of points 0.
     """
 
     path_m: Complexes
     ahead_m: Complexes
+    square_m2: Floats
     fastest_mps: Floats
     due_m: Floats
     speed_mps: Floats
@@ -68,16 +70,17 @@ class Courses:
         return cls(
             path_m=path,
             ahead_m=ahead,
+            square_m2=np.maximum(square(ahead), 1e-9),
             fastest_mps=np.sqrt(_curve_limit(path, limits)),
-            due_m=length,
-            speed_mps=speed,
-            accel_mps2=np.gradient(speed, DT_S, axis=1),
+            due_m=np.ascontiguousarray(length.T),
+            speed_mps=np.ascontiguousarray(speed.T),
+            accel_mps2=np.ascontiguousarray(np.gradient(speed, DT_S, axis=1).T),
             row=np.arange(len(path)) * path.shape[1],
         )
 
     def timing(self, step: int) -> tuple[Floats, Floats, Floats]:
         """Arc length, speed, acceleration of the references ``step`` steps from now, (M) each."""
-        return self.due_m[:, step], self.speed_mps[:, step], self.accel_mps2[:, step]
+        return self.due_m[step], self.speed_mps[step], self.accel_mps2[step]
 
     def point(self, along_m: Floats) -> Complexes:
         """Points at arc lengths (M), one for each path."""
@@ -87,9 +90,9 @@ class Courses:
     def progress(self, guess_m: Floats, least_m: Floats, position_m: Complexes) -> Floats:
         """Arc lengths (M) of the feet of points, near ``guess_m`` and at least ``least_m``."""
         cell, share = self._cell(guess_m)
-        off, ahead = position_m - self.path_m.take(cell), self.ahead_m.take(cell)
-        product = off * ahead.conj()
-        foot = product.real / np.maximum(square(ahead), 1e-9)
+        off = position_m - self.path_m.take(cell)
+        product = off * self.ahead_m.take(cell).conj()
+        foot = product.real / self.square_m2.take(cell)
         correction = np.minimum(np.maximum((foot - share) * _SPACING_M, -0.5), 0.5)
         return np.maximum(guess_m + correction, least_m)
 
@@ -242,15 +245,18 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     candidates, steps = reference.shape[:2]
     courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
     state = _State(candidates, start, limits)
-    place = np.empty((candidates, steps), dtype=np.complex128)
-    heading, speed = np.empty((candidates, steps)), np.empty((candidates, steps))
+    place = np.empty((steps, candidates), dtype=np.complex128)
+    heading, speed = np.empty((steps, candidates)), np.empty((steps, candidates))
     for step in range(steps):
         state.advance(courses, step)
-        place[:, step], heading[:, step], speed[:, step] = state.pose()
-    position = np.stack([place.real, place.imag], -1)
+        place[step], heading[step], speed[step] = state.pose()
+    position = np.stack([place.T.real, place.T.imag], -1)
     bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
     return Tracked(
-        position_m=position, heading_rad=frames.wrap(heading), speed_mps=speed, bent_m=bent
+        position_m=position,
+        heading_rad=frames.wrap(np.ascontiguousarray(heading.T)),
+        speed_mps=np.ascontiguousarray(speed.T),
+        bent_m=bent,
     )
 
 
@@ -276,15 +282,15 @@ class _State:
         before, after = self._speed, self._next_speed(courses, step)
         curvature = self._steer(courses, np.maximum(before, after))
         mean = (before + after) / 2
-        turn = curvature * mean * DT_S
-        self._place = self._place + mean * DT_S * np.exp(1j * (self._course + turn / 2))
+        turn, driven = curvature * mean * DT_S, mean * DT_S
+        self._place = self._place + driven * np.exp(1j * (self._course + turn / 2))
         self._course = self._course + turn
         # The slip of a trailed rear axle, solved exactly for a constant curvature and small slip.
         steady = np.arcsin(curvature * self._rear_m)
-        fade = np.exp(-mean * DT_S / self._rear_m)
+        fade = np.exp(driven / -self._rear_m)
         self._slip = steady + (self._slip - steady) * fade
         self._speed = after
-        self._along = courses.progress(self._along + mean * DT_S, self._along, self._place)
+        self._along = courses.progress(self._along + driven, self._along, self._place)
 
     def _next_speed(self, courses: Courses, step: int) -> Floats:
         """Speed after the step: keep to the reference's timing, slow down for curves."""
