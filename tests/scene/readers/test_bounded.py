@@ -255,6 +255,7 @@ def test_ids_that_cannot_be_shown_are_refused_and_markup_is_kept(name, tmp_path)
         assert found.name == name
     else:
         assert "the name of the scene" in found.reason
+        assert found.name == "x"  # that of the file
         assert found.reason.isprintable()
 
 

@@ -103,6 +103,16 @@ def test_a_scene_without_lanes_is_refused(scene, tmp_path):
     assert "no lanes" in refusal.reason
 
 
+@pytest.mark.parametrize("name", ["position_m", "heading_rad", "velocity_mps", "z_m"])
+def test_a_number_that_is_not_finite_is_refused_where_a_road_user_is_seen(name, scene, tmp_path):
+    values = getattr(scene.tracks, name).copy()
+    values[0, 5] = np.nan
+    tracks = dataclasses.replace(scene.tracks, **{name: values})
+    npz.write(dataclasses.replace(scene, tracks=tracks), tmp_path / "scene.npz")
+    (refusal,) = read_by(npz, tmp_path / "scene.npz")
+    assert f"record 0: {name} of 7 at step 5 is not finite." in refusal.reason
+
+
 def test_pickled_objects_are_refused(scene, tmp_path):
     file = tmp_path / "scene.npz"
     npz.write(scene, file)

@@ -202,6 +202,12 @@ def test_an_array_has_exactly_the_items_that_its_shape_says(shape, code, content
         load_plain(pickle.dumps({"x": Filled(shape, code, content)}, 4))
 
 
+def test_a_shape_is_what_its_items_fill():
+    """numpy would take -1 for a size."""
+    back = load_plain(pickle.dumps(Filled((-1,), "f8", b"12345678" * 3), 4))
+    assert back.shape == (3,)
+
+
 def test_an_array_of_objects_with_all_of_its_items_comes_back():
     content = pickle.dumps(Filled((2, 2), "O8", ["a", None, 1, 2.5]), 4)
     assert load_plain(content).tolist() == [["a", None], [1, 2.5]]
