@@ -120,7 +120,8 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
     (network,) = risk.read([out])
     (attacked,) = network.attacks
     assert (network.name, attacked.decided.edge, attacked.hit) == ("tiny", "ab", False)
-    assert gate.read(out).rows["attack-001"].judged
+    runs = gate.read(out).runs.set_index("run_id")
+    assert runs.loc["attack-001", "judged"]
 
 
 def test_attacks_share_one_copy_of_the_network_and_a_new_session_begins_anew(

@@ -57,7 +57,7 @@ COUNTED = """
 import sys
 from pathlib import Path
 from deepmf_sumo import spec
-from deepmf_sumo import tasks
+from deepmf_sumo.spec import tasks
 from deepmf_sumo.study.sweep import episode, fork
 
 def count(word):  # by whichever process

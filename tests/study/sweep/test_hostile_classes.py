@@ -163,7 +163,7 @@ def test_folder_and_environment_are_as_before_where_a_planner_has_threads(tiny, 
     program = (
         "import os, sys, threading, time\n"
         "from pathlib import Path\n"
-        "from deepmf_sumo import spec, tasks\n"
+        "from deepmf_sumo import spec\nfrom deepmf_sumo.spec import tasks\n"
         "from deepmf_sumo.study.sweep import episode\n"
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
         "runs = Path(sys.argv[1])\n"

@@ -145,7 +145,7 @@ def test_crosswalks_are_drawn(net):
 
 def test_the_same_scene_gives_the_same_bytes_whatever_the_hash_seed(crossing, net, tmp_path):
     script = (
-        "import pickle, sys; from pathlib import Path; from deepmf_sumo import network;"
+        "import pickle, sys; from pathlib import Path; from deepmf_sumo.sumo import network;"
         "network.convert(pickle.load(open(sys.argv[1], 'rb')), Path(sys.argv[2]))"
     )
     import pickle
