@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from deepmf_sumo.cli import main
 from deepmf_sumo.results import risk
 from deepmf_sumo.results.failures import failures
 from deepmf_sumo.results.groups import causes, grouped
@@ -11,7 +12,7 @@ from deepmf_sumo.results.result import COLUMNS, known_of
 from deepmf_sumo.results.stored import result_of
 from deepmf_sumo.tables import to_csv
 
-from tests.support.risk_doubles import Attacks, eastward, straight
+from tests.support.risk_doubles import NET, Attacks, eastward, straight
 
 CAUSES = [
     # rung, error of the AV, change
@@ -40,18 +41,34 @@ def out(tmp_path):
     return runs.out
 
 
-def test_kinds_and_causes_are_those_of_the_groups(out):
-    results = Results.open(out)
-    looked = list(failures(results))
+def agreed(out):
+    """Hits by run, as groups of failures have them, and the table of kinds of conflict."""
+    looked = list(failures(Results.open(out)))
     assert {why for *_, why in looked} == {""}
     found = {run.run_id: one for run, one, _ in looked if one is not None}
     [network] = risk.read([out])
-    attacks = {one.run_id: one for one in network.attacks}
-    assert len(found) == len(attacks) == 12
+    attacks = {one.run_id: one for one in network.attacks if one.hit}
+    assert found.keys() == attacks.keys()
     for run_id, one in found.items():
         assert one.conflict == attacks[run_id].kind
         assert one.cause == attacks[run_id].cause
+    cells = [one for one in risk.coverage(network) if one.table == "conflict"]
+    number, _ = causes(grouped(found.values(), len(looked)))
+    assert sum(one.causes for one in cells) == number
+    return found
+
+
+def test_kinds_and_causes_are_those_of_the_groups(out):
+    found = agreed(out)
     assert len({one.conflict for one in found.values()}) == 2
     assert causes(grouped(found.values(), 12)) == (6, 8)
-    cells = [one for one in risk.coverage(network) if one.table == "conflict"]
-    assert sum(one.causes for one in cells) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_they_are_in_real_attacks(tmp_path):
+    config, out = NET.parent / "four_way.sumocfg", tmp_path / "out"
+    any_hit = ("--set", "profile=any", "--set", "adversary.constraints=[on_road]")
+    arguments = ["--moments", "6", "--seed", "2", *any_hit, "--no-pictures"]
+    assert main.run(["attack", str(config), *arguments, "--out", str(out)]) == 0
+    assert len(agreed(out)) >= 2

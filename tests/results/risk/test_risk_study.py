@@ -1,7 +1,6 @@
 """Comparisons of real attacks: equal planners do not alarm, a planner made worse is found."""
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,13 +39,14 @@ def alarms(old, new, wanted):
 def runs_of(folder):
     """Rows with the ids by which the two sides are paired."""
     side = comparison._side(folder)
-    return list(comparison._alike(side, {"planner"}).rows.values())
+    return comparison._alike(side, {"planner"}).runs.to_dict("records")
 
 
 def sampled(runs, draw):
     """Pairs drawn anew are moments of their own."""
     return [
-        replace(runs[key], run_id=f"{number}", scene=f"{number}") for number, key in enumerate(draw)
+        {**runs[key], "run_id": f"{number}", "scene": f"{number}"}
+        for number, key in enumerate(draw)
     ]
 
 
@@ -62,7 +62,7 @@ def test_seeds_against_other_seeds_do_not_alarm(tmp_path):
     count = 0
     for half in halves[:: len(halves) // GROUPINGS][:GROUPINGS]:
         mine = {SEEDS[0], *half}
-        sides = ([row for row in runs if (row.seed in mine) == one] for one in (True, False))
+        sides = ([row for row in runs if (row["seed"] in mine) == one] for one in (True, False))
         count += alarms(*sides, {"worse", "better"})
     assert count <= 0.05 * GROUPINGS
 
@@ -75,7 +75,7 @@ def test_a_shorter_headway_is_found(tmp_path):
         for name, more in (("old", ()), ("new", ("--set", "planner.headway_s=0.8"))):
             out = tmp_path / name / str(seed)
             attack("arterial/arterial.sumocfg", out, seed, POWER_MOMENTS, *more)
-    old, new = ({row.run_id: row for row in runs_of(tmp_path / name)} for name in ("old", "new"))
+    old, new = ({row["run_id"]: row for row in runs_of(tmp_path / name)} for name in ("old", "new"))
     both = sorted(old.keys() & new.keys())
     rng = np.random.default_rng(0)
     draws = [rng.choice(both, PAIRS) for _ in range(SAMPLES)]
