@@ -119,11 +119,29 @@ def test_columns_of_pairs_have_one_name_each_and_are_all_made():
     seen = view()
     made = pair_columns(seen, surroundings(seen))
     assert set(Pair) - set(made) == {Pair.STANDS_IN, Pair.KNOWN}
-    assert list(Pair) == list(range(112))  # weights of before read them in this order
     arrays, around = opponent_features(seen, LIGHT)
     for column, values in made.items():
         wanted = np.broadcast_to(values, around.vehicles).astype(np.float32)
         assert arrays["pair"][: around.vehicles, column].tolist() == wanted.tolist(), column
+
+
+def test_columns_of_pairs_stand_where_trained_weights_read_them():
+    seen = view()
+    arrays, around = opponent_features(seen, LIGHT)
+    south = arrays["pair"][around.ids(seen).index("south")]
+    apart = np.hypot(50, 45)
+    by_hand = {
+        0: 50 / 30, 1: -45 / 30, 2: 4.0, 3: apart / 30, 4: np.log1p(apart) / 2, 6: 50 / apart,
+        7: -45 / apart, 8: 0.0, 9: 1.0, 10: 0.0, 11: 9 / 15, 12: 9 / 15, 13: np.log1p(9), 18: 1.0,
+        20: 4.8 / 5, 21: 2 / 2, 22: 45 / 30, 23: 50 / 30, 25: -1 / 15, 26: 10 / 15,
+        27: np.log1p(10), 30: 1.0, 31: 4.8 / 5, 32: 2 / 30, 33: 1 / 15, 34: 0.0, 35: 10 / 16,
+        36: 0.0, 37: 10 / 16, 38: 10 / 16, 39: 0.0, 41: 10 / 16, 46: 45 / 50, 47: 50 / 50,
+        48: 5 / 8, 49: 5 / 8, 51: 1.0, 52: 0.0, 54: 180 / 100, 55: 0.0, 57: 1 / 5, 58: 1.0,
+        66: 13.9 / 15, 68: 2 / 5, 69: 1.0, 72: 4.0, 75: -4.0, 78: 1.0, 79: 4.0, 83: 1.0, 91: 1.0,
+        92: 1.0, 93: 1.0, 94: 1.0, 101: 0.0, 102: np.log1p(1), 109: 0.0, 110: 0.0, 111: 1.0,
+    }  # fmt: skip
+    found = {number: float(south[number]) for number in by_hand}
+    assert found == pytest.approx(by_hand, abs=1e-5)
 
 
 def test_vehicles_come_first_and_the_nearest_before_others():

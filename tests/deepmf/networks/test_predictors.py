@@ -34,6 +34,22 @@ def southern(shift=0.0):
     )
 
 
+def test_columns_stand_where_trained_weights_read_them():
+    arrays, _ = features(view(), "av", LIGHT, planner=True)
+    assert arrays["agents"][0, -1].tolist() == [0, 0, 1, 0, 10, 0, 1]
+    assert arrays["agent_info"][0] == pytest.approx([4.8, 2, 1, 0, 0, 0, 1, 1])
+    assert arrays["lane_info"][0].tolist()[:4] == [0, 1, 0, 0]
+    assert arrays["lane_info"][0, [4, 9]] == pytest.approx([13.9, 1])
+    first, fan = arrays["path_info"][0], arrays["path_info"][2]
+    assert first[:4].tolist() == [1, 0, 0, 0]
+    assert first[[4, 5, 6]] == pytest.approx([200, 13.9, 40])
+    assert first[7:].tolist() == [0, 0, 0, 1, 0, 0, 3]  # its signal is green
+    assert fan.tolist() == [1, 1, 0, 0, 0, 0, 200, 1, 0, 0, 0, 0, 0, 0]
+    assert arrays["motion"] == pytest.approx([10, 0, 0, 4.8, 2, 1, 1])
+    ahead = arrays["path_agents"][0][np.argmax(arrays["path_agents"][0, :, 0])]
+    assert ahead == pytest.approx([110, 0, 0, 0, 1, 0, 4.8, 1], abs=1e-4)  # the one that waits
+
+
 def test_forecasts_have_the_promised_form(predictors):
     found = [predictors.marginal.predict(view(), name).modes(32) for name in ("av", "south")]
     assert [each.futures.agent_id for each in found] == ["av", "south"]
