@@ -254,7 +254,7 @@ _OF_THE_AV: Final = (
     _OfTheAv("av_hardest_braking_mps2", "m/s2", "higher", "planner_hardest_braking",
              "harsh braking", 1.0, 10.0),
     _OfTheAv("av_over_limit_mps", "m/s", "higher", "av_over_limit", "over the speed limit",
-             1.0, 10.0, limit=1.0),
+             1.0, 10.0, limit=2.0),
     _OfTheAv("av_late_at_signal_s", "s", "higher", "av_late_at_signal", "late at a signal",
              1.0, 10.0),
     _OfTheAv("av_signal_braking_mps2", "m/s2", "higher", "av_signal_braking",

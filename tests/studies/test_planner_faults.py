@@ -229,7 +229,7 @@ def test_a_copy_is_attacked_at_the_moments_of_the_baseline(tmp_path):
 def test_what_the_gate_says_of_a_copy_is_told_by_kind(tmp_path):
     runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(20)]
     old = gate_doubles.write_folder(tmp_path / "careful", runs)
-    runs[3]["plain"] = {"av_over_limit": {"value": 2.0}}
+    runs[3]["plain"] = {"av_over_limit": {"value": 2.5}}
     new = gate_doubles.write_folder(tmp_path / "speeding", runs)
     judged = functools.partial(measure.gate.check, thresholds=measure.gate.load(None), baseline=old)
     told = ("over the speed limit (av_over_limit_mps)",)

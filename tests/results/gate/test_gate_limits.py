@@ -138,7 +138,7 @@ def test_a_name_of_an_earlier_version_names_that_of_today(tmp_path, text, now):
     assert "Known:" not in str(raised.value)
 
 
-@pytest.mark.parametrize(("over", "state"), [(1.0, "held"), (1.01, "broken")])
+@pytest.mark.parametrize(("over", "state"), [(2.0, "held"), (2.01, "broken")])
 def test_rules_have_limits_of_their_own(tmp_path, over, state):
     """What holds is one row; what is broken names the runs. Earlier results have no values."""
     rows = [row("a", 0, av_over_limit_mps=0.0, av_red_run_rate=0.0), row("b", 0, ttc_s=1.0)]
@@ -148,7 +148,7 @@ def test_rules_have_limits_of_their_own(tmp_path, over, state):
     broken = found.get(("all runs", "av_over_limit_mps"))
     assert [one.state for one in (kept, broken) if one] == [state]
     if broken:
-        assert (broken.blamed, broken.runs, broken.bound) == (("made up--c--0",), 2, 1.0)
+        assert (broken.blamed, broken.runs, broken.bound) == (("made up--c--0",), 2, 2.0)
     assert len(judge(tmp_path, "", [row("b", 0, ttc_s=1.0)])) == 2  # failed and judged runs
 
 
