@@ -107,7 +107,7 @@ def _motion(view: View) -> tuple[Floats, float]:
     return tracks.position_m[row, -1], float(tracks.speed_mps[row, -1])
 
 
-class Observer:
+class ObservationBuilder:
     """Arrays of a view.
 
     ``av``: (3) speed, length, width. ``agents``: (N, 8) the nearest first: 1, x, y, heading, vx,
@@ -235,7 +235,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         self._reward = reward if isinstance(reward, Reward) else _reward(reward)
         self._spec = _in_one_try(spec if isinstance(spec, Spec) else specs.load(Path(spec)))
         self._tasks = tasks.plan([self._spec], cache_folder())
-        self._observer = Observer(agents)
+        self._observer = ObservationBuilder(agents)
         self._next = 0
         self._seeded = False
         self._stepped: SteppedEpisode | None = None

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.attacks._episodes import Motion
+from deepmf_sumo.attacks._episodes import AgentMotion
 from deepmf_sumo.baselines import _open_loop as open_loop
 from deepmf_sumo.baselines import diffscene
 from deepmf_sumo.deepmf import candidates
@@ -15,7 +15,7 @@ from deepmf_sumo.deepmf.networks.config import VECTOR
 from deepmf_sumo.deepmf.networks.lanes import road_index
 from deepmf_sumo.deepmf.networks.opponent import lane_routes, opponent_features, passes_over
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.judge.avoidability.av_path import keeps_lane, route_ahead
@@ -143,7 +143,7 @@ def test_gaps_of_made_attacks():
     steps = np.arange(1, 81)[:, None] * DT_S
     under = np.array([-40.0, 0.0]) + 10 * steps * [1, 0]
     over = (np.array([0.0, -40.0]) + 10 * steps * [0, 1])[None]
-    av = Motion(
+    av = AgentMotion(
         position_m=under,
         heading_rad=np.zeros(80),
         speed_mps=np.full(80, 10.0),
@@ -159,7 +159,7 @@ def test_gaps_of_made_attacks():
     assert least(crossing(), (0.0, 8.0)) == pytest.approx(5.5)
 
 
-LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+LIMITS = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 @pytest.mark.parametrize(("deck_m", "leaves"), [(0.0, True), (8.0, False)])

@@ -15,7 +15,7 @@ from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.opponent import choose as choose_opponent
 from deepmf_sumo.deepmf.settings import LIMITS
-from deepmf_sumo.deepmf.tracking import Limits, Tracked
+from deepmf_sumo.deepmf.tracking import MotionLimits, Tracked
 from deepmf_sumo.scene import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.ground import distance_m
@@ -29,7 +29,7 @@ Choose = Callable[[View, np.random.Generator], AgentId | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class AgentMotion:
     """Motion of one agent in the K steps after now.
 
     Attributes:
@@ -64,8 +64,8 @@ class Scouted:
     view: View
     rollout: Rollout
     opponent_id: AgentId
-    reference: Motion
-    av: Motion
+    reference: AgentMotion
+    av: AgentMotion
 
 
 class Scout:
@@ -112,13 +112,13 @@ def scout(case: Case, simulate: Simulate, choose: Choose) -> Scouted | None:
     )
 
 
-def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> Motion:
+def motion_of(rollout: Rollout, agent_id: AgentId, steps: int) -> AgentMotion:
     """Motion of an agent in the ``steps`` after now; not valid after the end of the rollout."""
     tracks = rollout.tracks
     row, first = tracks.row(agent_id), rollout.now + 1
     after = slice(first, first + steps)
     missing = steps - tracks.valid[row, after].size
-    return Motion(
+    return AgentMotion(
         position_m=np.pad(tracks.position_m[row, after], [(0, missing), (0, 0)]),
         heading_rad=np.pad(tracks.heading_rad[row, after], (0, missing)),
         speed_mps=np.pad(tracks.speed_mps[row, after], (0, missing)),
@@ -273,9 +273,9 @@ class LimitedSettings(OpponentSettings):
     lateral_mps2: float = Field(default=LIMITS.lateral, gt=0.0)
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> MotionLimits:
         """Limits of what the opponent drives."""
-        return Limits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
+        return MotionLimits(accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2)
 
 
 class OpponentChoice:

@@ -10,7 +10,7 @@ from deepmf_sumo.attacks._episodes import deadline, nearest_m
 from deepmf_sumo.attacks.base import Simulate
 from deepmf_sumo.deepmf.experience import Experience
 from deepmf_sumo.deepmf.policy import DeepMF as Policy
-from deepmf_sumo.deepmf.policy import Predictors
+from deepmf_sumo.deepmf.policy import PredictorSet
 from deepmf_sumo.deepmf.policy import build as build_policy
 from deepmf_sumo.deepmf.settings import Goal, Settings
 from deepmf_sumo.judge.ladder import RUNGS, verdict
@@ -31,13 +31,13 @@ class _Reached(NamedTuple):
     values: dict[str, float]
 
 
-class DeepMF:
+class DeepMFAttack:
     """Attacks in one episode, or in at most ``tries``; the first attack loads the predictors."""
 
     def __init__(self, settings: Settings, weights: str) -> None:
         self._settings = settings
         self._weights = weights
-        self._predictors: Predictors | None = None
+        self._predictors: PredictorSet | None = None
 
     @property
     def several(self) -> bool:
@@ -123,6 +123,6 @@ def _gap_m(rollout: Rollout) -> float:
     return np.inf if rollout.opponent_id is None else nearest_m(rollout)
 
 
-def build(settings: Settings, weights: str) -> DeepMF:
+def build(settings: Settings, weights: str) -> DeepMFAttack:
     """The adversary; ``weights`` is a name or a folder, see `networks.weights.load`."""
-    return DeepMF(settings, weights)
+    return DeepMFAttack(settings, weights)

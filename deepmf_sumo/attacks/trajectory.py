@@ -9,7 +9,7 @@ from deepmf_sumo.scene import Attack, Budget, Case
 Settings = trajectory.Settings
 
 
-class Trajectory:
+class TrajectoryAttack:
     """One episode under the fixed trajectory."""
 
     def __init__(self, settings: Settings) -> None:
@@ -26,6 +26,6 @@ class Trajectory:
         return Attack(rollout=simulate(self._policy), simulations=1, generation_s=0.0)
 
 
-def build(settings: Settings, weights: str) -> Trajectory:
+def build(settings: Settings, weights: str) -> TrajectoryAttack:
     """The adversary. Raises PluginError if the trajectory's file cannot be used."""
-    return Trajectory(settings)
+    return TrajectoryAttack(settings)

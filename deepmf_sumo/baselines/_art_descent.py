@@ -40,7 +40,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
+class PerturbationBounds:
     """Of a perturbed trajectory: largest move of a point, speed, acceleration and jerk."""
 
     reach_m: float
@@ -48,10 +48,10 @@ class Bounds:
     accel_mps2: float
     jerk_mps3: float
 
-    def widened(self, base_m: Floats) -> "Bounds":
+    def widened(self, base_m: Floats) -> "PerturbationBounds":
         """The bounds, widened to the values of the unperturbed trajectory (W, 2)."""
         speed, accel, jerk = _kinematics(torch.from_numpy(base_m))
-        return Bounds(
+        return PerturbationBounds(
             reach_m=self.reach_m,
             speed_mps=max(self.speed_mps, _largest(speed)),
             accel_mps2=max(self.accel_mps2, _largest(accel)),
@@ -82,7 +82,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Descent:
+class ArtDescent:
     """Best perturbations: points (R, N, 2), offsets (R, W, 2), and the number of iterations."""
 
     points: Floats
@@ -95,10 +95,10 @@ def descend(
     base_m: Floats,
     basis: Floats,
     begin: Floats,
-    bounds: Bounds,
+    bounds: PerturbationBounds,
     iterations: int,
     deadline: float,
-) -> Descent:
+) -> ArtDescent:
     """Minimise a loss over perturbations of one trajectory, from R initial points together.
 
     Args:
@@ -131,7 +131,9 @@ def descend(
         points = single(inside).requires_grad_()
         done += 1
     found = best.double().numpy()
-    return Descent(points=found, offset_m=np.einsum("wn,rnc->rwc", basis, found), iterations=done)
+    return ArtDescent(
+        points=found, offset_m=np.einsum("wn,rnc->rwc", basis, found), iterations=done
+    )
 
 
 class Adam:
@@ -152,7 +154,7 @@ class Adam:
         return self._rate * mean / (square.sqrt() + 1e-8)
 
 
-def _within(points: Floats, base_m: Floats, basis: Floats, bounds: Bounds) -> Floats:
+def _within(points: Floats, base_m: Floats, basis: Floats, bounds: PerturbationBounds) -> Floats:
     """The perturbations, each scaled by the largest hundredth that is within the bounds."""
     offset = np.einsum("wn,rnc->rwc", basis, points)
     out = np.flatnonzero(~bounds.allow(base_m, offset))
@@ -199,7 +201,7 @@ _MOVING_M = 0.05  # a step that is shorter gives no direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class ArtTarget:
     """The AV's poses (K, 2), (K), whether it is present (K), and both footprints (2)."""
 
     position_m: Floats
@@ -212,13 +214,13 @@ class Target:
 def bend(
     reference_m: Floats,
     start: Start,
-    target: Target,
-    bounds: Bounds,
+    target: ArtTarget,
+    bounds: PerturbationBounds,
     restarts: int,
     iterations: int,
     deadline: float,
     rng: np.random.Generator,
-) -> Descent:
+) -> ArtDescent:
     """Perturbations (R, K, 2) of a reference (K, 2) that bring it to the target.
 
     The first restart begins at the reference, the others at positions of the AV.
@@ -244,7 +246,7 @@ def bend(
         iterations,
         deadline,
     )
-    return Descent(
+    return ArtDescent(
         points=found.points, offset_m=found.offset_m[:, fixed:], iterations=found.iterations
     )
 
@@ -260,7 +262,7 @@ def _integrals(steps: int, count: int) -> Floats:
 
 
 def _beginnings(
-    reference_m: Floats, target: Target, restarts: int, count: int, rng: np.random.Generator
+    reference_m: Floats, target: ArtTarget, restarts: int, count: int, rng: np.random.Generator
 ) -> Floats:
     """(R, count, 2) accelerations: none, and of moves that meet the AV at some time.
 
@@ -285,7 +287,7 @@ def _beginnings(
 class _Gap:
     """Differentiable gap of two boxes, each three circles as wide as the box."""
 
-    def __init__(self, reference_m: Floats, heading_rad: float, target: Target) -> None:
+    def __init__(self, reference_m: Floats, heading_rad: float, target: ArtTarget) -> None:
         # Single precision: far from the origin it would not resolve centimetres.
         origin = reference_m[0]
         self._reference = single(reference_m - origin)

@@ -13,7 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.baselines._art_descent import GONE_M, KNOT_STEPS, Bounds, Descent, descend
+from deepmf_sumo.baselines._art_descent import (
+    GONE_M,
+    KNOT_STEPS,
+    ArtDescent,
+    PerturbationBounds,
+    descend,
+)
 from deepmf_sumo.deepmf.networks import anchors
 from deepmf_sumo.deepmf.networks.decode import knot_matrix
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals, as_batch
@@ -32,21 +38,21 @@ def perturb(
     net: DenseTNT,
     av_m: Floats,
     there: Bools,
-    bounds: Bounds,
+    bounds: PerturbationBounds,
     restarts: int,
     iterations: int,
     deadline: float,
     rng: np.random.Generator,
-) -> Descent:
+) -> ArtDescent:
     """Perturbations (R, 11, 2) of an agent's history that make goals near the AV likelier.
 
     ``av_m`` (K, 2) are the AV's positions from the next step on, ``there`` (K) where it is present.
     The first restart begins with the recorded history, the others at random.
     """
-    past = Past(view, agent_id, net)
+    past = PerturbedPast(view, agent_id, net)
     begin = rng.normal(scale=bounds.reach_m / 2, size=(restarts, past.basis.shape[1], 2))
     begin[0] = 0.0
-    meeting = Meeting(view, agent_id, av_m, there)
+    meeting = GoalMeeting(view, agent_id, av_m, there)
     known = torch.from_numpy(np.flatnonzero(past.known))
 
     def loss(offset: Tensor) -> Tensor:
@@ -63,10 +69,10 @@ def perturb(
         deadline,
     )
     offset = np.einsum("wn,rnc->rwc", past.basis, found.points)
-    return Descent(points=found.points, offset_m=offset, iterations=found.iterations)
+    return ArtDescent(points=found.points, offset_m=offset, iterations=found.iterations)
 
 
-class Past:
+class PerturbedPast:
     """An agent's history as a function of offsets (R, 11, 2), now last, in the scene's frame.
 
     Raises KeyError for an agent that is not in view.
@@ -141,7 +147,7 @@ class Past:
         return torch.cat([motion[:, :1], torch.stack([gain, turn / seconds], -1), motion[:, 3:]], 1)
 
 
-class Meeting:
+class GoalMeeting:
     """How likely a predictor's goals are to come near the AV."""
 
     def __init__(self, view: View, agent_id: AgentId, av_m: Floats, there: Bools) -> None:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepmf_sumo.attacks._episodes import Motion, Scouted, Trajectories
+from deepmf_sumo.attacks._episodes import AgentMotion, Scouted, Trajectories
 from deepmf_sumo.deepmf.networks.lanes import path_set, road_index
-from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start
 from deepmf_sumo.scene import DT_S, Floats, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
 
@@ -41,7 +41,7 @@ class Bounds:
         fastest_mps: largest speed.
     """
 
-    total: Limits
+    total: MotionLimits
     accel_mps2: float
     curvature_per_m: float
     lateral_mps2: float
@@ -116,7 +116,7 @@ class Bicycle:
         turned: Floats = (1 - share) * self._turned[node] + share * self._turned[node + 1]
         return turned
 
-    def _turns(self, reference: Motion, road: RoadMap) -> Floats:
+    def _turns(self, reference: AgentMotion, road: RoadMap) -> Floats:
         """(N) heading of the rear axle's path every 0.5 m, from the heading now on."""
         start = self._start
         rear = start.position_m - self._rear_m * frames.unit(start.heading_rad)
@@ -134,7 +134,7 @@ class Bicycle:
         return turned
 
 
-def _accelerations(reference: Motion, speed_mps: float) -> Floats:
+def _accelerations(reference: AgentMotion, speed_mps: float) -> Floats:
     """(K) accelerations of the reference, from the present speed on; 0 after its end."""
     steps = np.arange(len(reference.valid) + 1)
     known = np.concatenate([[True], reference.valid])

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from deepmf_sumo.attacks._episodes import Motion, Scouted
+from deepmf_sumo.attacks._episodes import AgentMotion, Scouted
 from deepmf_sumo.baselines._scene_graph import DISCS, ROAD_M, Obstacles, Path, situation_of
 from deepmf_sumo.baselines.priors import costs
 from deepmf_sumo.baselines.priors.diffscene import (
@@ -39,7 +39,7 @@ _SLOW_M: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
+class GuidanceTerms:
     """Weights of the constraints, and the limits of motion."""
 
     off_road: float
@@ -60,7 +60,9 @@ class Guide:
         terms: of the constraints.
     """
 
-    def __init__(self, net: DiffusionPrior, scouted: Scouted, av: Motion, terms: Terms) -> None:
+    def __init__(
+        self, net: DiffusionPrior, scouted: Scouted, av: AgentMotion, terms: GuidanceTerms
+    ) -> None:
         situation, opponent = situation_of(scouted, [scouted.opponent_id]), scouted.opponent_id
         self._situation = situation
         self._aim(opponent, situation.to_path(av))

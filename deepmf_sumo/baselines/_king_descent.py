@@ -26,7 +26,7 @@ _IDM_ACCEL, _IDM_DECEL, _IDM_GAP_M, _IDM_TIME_S, _IDM_HARDEST = 1.5, 2.0, 2.0, 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
+class CostTerms:
     """Weights of the cost beside the gap to the AV, in metres of it."""
 
     off_road: float
@@ -34,7 +34,7 @@ class Terms:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
+class OpponentBounds:
     """Of the controls: largest changes, and total accelerations of the opponent."""
 
     accel_change_mps2: float
@@ -46,7 +46,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Opponent:
+class KingOpponent:
     """Where it is now, (2) box centre, and its controls without the attack.
 
     Attributes:
@@ -86,7 +86,7 @@ class Around:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Descent:
+class KingDescent:
     """Controls that were found: positions (N, 2) every 0.2 s, least gap, iterations made."""
 
     position_m: Floats
@@ -96,9 +96,9 @@ class Descent:
 
 
 def descend(
-    opponent: Opponent, around: Around, bounds: Bounds, terms: Terms, rate: float,
+    opponent: KingOpponent, around: Around, bounds: OpponentBounds, terms: CostTerms, rate: float,
     iterations: int, until: float,
-) -> Descent:  # fmt: skip
+) -> KingDescent:  # fmt: skip
     """The first controls under which the stand-in is hit, else those that come closest.
 
     ``until``: `time.perf_counter` to stop at; the first iteration is always made.
@@ -119,7 +119,7 @@ def descend(
         controls = (controls.detach() - adam.step(slope)).clamp(-1.0, 1.0).requires_grad_()
         late = time.perf_counter() >= until
     found = best.detach().double().numpy() + opponent.position_m
-    return Descent(position_m=found, gap_m=least, iterations=done, out_of_time=late)
+    return KingDescent(position_m=found, gap_m=least, iterations=done, out_of_time=late)
 
 
 class _Problem:
@@ -129,7 +129,9 @@ class _Problem:
     centimetres.
     """
 
-    def __init__(self, opponent: Opponent, around: Around, bounds: Bounds, terms: Terms) -> None:
+    def __init__(
+        self, opponent: KingOpponent, around: Around, bounds: OpponentBounds, terms: CostTerms
+    ) -> None:
         self._opponent, self._bounds, self._terms = opponent, bounds, terms
         origin = opponent.position_m
         self._accel = single(opponent.accel_mps2)

@@ -18,9 +18,9 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
+    AgentMotion,
     Choose,
     LimitedSettings,
-    Motion,
     OpponentChoice,
     Planned,
     Scouted,
@@ -75,7 +75,7 @@ def curve_into(start_m: Floats, own_m: Floats, av_m: Floats, meeting_steps: int)
 _SPAN = 2  # steps on each side of a difference
 
 
-def continued(motion: Motion, start: Start) -> Floats:
+def continued(motion: AgentMotion, start: Start) -> Floats:
     """(K, 2) positions of a motion, continued straight at the last speed after its end.
 
     Gaps are filled linearly. ``start`` is the state before the first step.
@@ -126,7 +126,7 @@ def plan_along(view: View, agent_id: AgentId, position_m: Floats) -> Plan:
     )
 
 
-def gaps(scouted: Scouted, av: Motion, position_m: Floats, heading_rad: Floats) -> Floats:
+def gaps(scouted: Scouted, av: AgentMotion, position_m: Floats, heading_rad: Floats) -> Floats:
     """(M, K) gaps of the boxes between the AV and M trajectories (M, F, 2); inf without the AV.
 
     K: steps that both have.
@@ -171,7 +171,7 @@ class Answers:
         return int(there[-1]) + 1 if len(there) else 0
 
     @classmethod
-    def of(cls, view: View, rollouts: Sequence[Motion]) -> "Answers":
+    def of(cls, view: View, rollouts: Sequence[AgentMotion]) -> "Answers":
         """The AV's rollouts from the view on."""
         start = Start.of(view, view.av_id)
         paths = [_lengthened(continued(rollout, start)) for rollout in rollouts]
@@ -282,7 +282,7 @@ class Aimed:
     parameters: dict[str, float]
 
 
-Aim = Callable[[Scouted, Sequence[Motion]], Aimed]
+Aim = Callable[[Scouted, Sequence[AgentMotion]], Aimed]
 """Aims at the AV's rollouts so far, the unattacked one first."""
 
 
@@ -335,7 +335,7 @@ class AimedSettings(LimitedSettings):
     rounds: int = Field(default=1, ge=1)
 
 
-class Rounds:
+class AimedRounds:
     """An adversary that aims at the AV's rollouts, round by round.
 
     Args:

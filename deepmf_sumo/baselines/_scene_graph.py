@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.attacks._episodes import Motion, Scouted, motion_of
+from deepmf_sumo.attacks._episodes import AgentMotion, Scouted, motion_of
 from deepmf_sumo.baselines.priors import costs
 from deepmf_sumo.baselines.priors.graph import graph_of, members
 from deepmf_sumo.deepmf.networks.lanes import road_index
@@ -43,7 +43,7 @@ class Obstacles(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
+class GraphSituation:
     """The graph, and the unattacked motion of all agents.
 
     Attributes:
@@ -70,7 +70,7 @@ class Situation:
         """Of a vehicle in the graph."""
         return self.ids.index(agent_id)
 
-    def to_path(self, motion: Motion) -> Path:
+    def to_path(self, motion: AgentMotion) -> Path:
         """A motion of the scene's frame as the tensors of its first 8 s."""
         return _path(self.view, motion)
 
@@ -94,7 +94,7 @@ class Situation:
         )
 
 
-def situation_of(scouted: Scouted, wanted: Sequence[AgentId]) -> Situation:
+def situation_of(scouted: Scouted, wanted: Sequence[AgentId]) -> GraphSituation:
     """The situation around the AV, with the wanted vehicles in the graph."""
     view, tracks = scouted.view, scouted.view.history
     ids = members(view, wanted)
@@ -110,7 +110,7 @@ def situation_of(scouted: Scouted, wanted: Sequence[AgentId]) -> Situation:
     road = _road(view)
     away = costs.off_road(graph["pose"][0, :, None, :2], road, 0.0) if len(road) else None
     allowed = torch.zeros(len(ids), 1) if away is None else away.clamp_min(_LANE_M)
-    return Situation(
+    return GraphSituation(
         view=view,
         ids=ids,
         graph=graph,
@@ -131,7 +131,7 @@ def frame(view: View) -> tuple[Floats, float]:
     return view.history.position_m[av, -1], float(view.history.heading_rad[av, -1])
 
 
-def _path(view: View, motion: Motion) -> Path:
+def _path(view: View, motion: AgentMotion) -> Path:
     origin, turn = frame(view)
     there = np.asarray(motion.valid[:FUTURE_STEPS])
     missing = FUTURE_STEPS - len(there)

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepmf_sumo.baselines._scene_graph import Obstacles, Path, Situation, frame
+from deepmf_sumo.baselines._scene_graph import GraphSituation, Obstacles, Path, frame
 from deepmf_sumo.baselines.priors import costs
-from deepmf_sumo.baselines.priors.strive import Context, Gaussian, MotionPrior, Motions
+from deepmf_sumo.baselines.priors.strive import Context, DecodedMotions, Gaussian, MotionPrior
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, AgentId, Plan
 from deepmf_sumo.scene.geometry import boxes, frames
 
@@ -46,7 +46,7 @@ class Costs(NamedTuple):
     init: float
 
 
-class Attacked(NamedTuple):
+class AdversarialState(NamedTuple):
     """A state of the adversarial stage.
 
     Attributes:
@@ -55,13 +55,13 @@ class Attacked(NamedTuple):
             contact. iterations: total number so far.
     """
 
-    motions: Motions
+    motions: DecodedMotions
     closest: AgentId
     gap_m: float
     iterations: int
 
 
-class Search:
+class LatentSearch:
     """Latents of one situation (1, N, 16), kept from stage to stage.
 
     Args:
@@ -75,7 +75,7 @@ class Search:
     def __init__(
         self,
         net: MotionPrior,
-        situation: Situation,
+        situation: GraphSituation,
         attackers: Sequence[AgentId],
         weights: Costs,
         deadline: float,
@@ -101,7 +101,7 @@ class Search:
         """Match the AV's motion in a rollout; the others keep their latents."""
         return self._fit([_AV], [rollout], iterations)
 
-    def attack(self, rollout: Path, iterations: int) -> Attacked:
+    def attack(self, rollout: Path, iterations: int) -> AdversarialState:
         """Second stage: until an attacker meets the AV's rollout, at most ``iterations``."""
         if self._moments is None:
             self._attack = self._latent[:, self._rows].clone().requires_grad_()
@@ -122,7 +122,7 @@ class Search:
             )
             self._step(self._moments, loss, self._attack)
         self._latent = self._with(self._rows, self._attack.detach())
-        return Attacked(
+        return AdversarialState(
             _detached(motions), self._situation.ids[self._rows[best]], gap, self.iterations
         )
 
@@ -180,11 +180,11 @@ class Search:
         """All latents, those of some vehicles replaced."""
         return self._latent.index_copy(1, torch.tensor(list(rows)), latent)
 
-    def _decode(self, latent: Tensor) -> Motions:
+    def _decode(self, latent: Tensor) -> DecodedMotions:
         graph = self._situation.graph
         return self._net.decode(graph, self._context, latent).placed(graph)
 
-    def _gaps(self, motions: Motions, rollout: Path) -> Tensor:
+    def _gaps(self, motions: DecodedMotions, rollout: Path) -> Tensor:
         """(attackers, 80) gaps between discs of the AV and of each attacker; huge without the AV.
 
         The AV is at its pose in the last rollout, and reacts from there as the prior lets it react.
@@ -210,7 +210,7 @@ class Search:
 
     def _plausible(
         self,
-        motions: Motions,
+        motions: DecodedMotions,
         rows: Sequence[int],
         obstacles: Obstacles | None,
         latent: Tensor,
@@ -241,7 +241,7 @@ class Search:
         scale = (-prior.log_sigma[:, list(rows)]).exp()
         return 0.5 * ((latent - prior.mean[:, list(rows)]) * scale).square().sum(-1)
 
-    def _touches(self, motions: Motions, attacks: dict[AgentId, Path]) -> bool:
+    def _touches(self, motions: DecodedMotions, attacks: dict[AgentId, Path]) -> bool:
         """Whether the AV's box meets that of an agent that did not touch it at first."""
         situation, av = self._situation, self._situation.ids[_AV]
         place = motions.position[0, _AV].detach().double().numpy()
@@ -264,7 +264,9 @@ class Search:
         return False
 
 
-def plan_of(situation: Situation, motions: Motions, agent_id: AgentId, steps: int) -> Plan:
+def plan_of(
+    situation: GraphSituation, motions: DecodedMotions, agent_id: AgentId, steps: int
+) -> Plan:
     """A decoded motion as a plan in the scene's frame; constant motion beyond its 8 s."""
     row, view = situation.row(agent_id), situation.view
     origin, turn = frame(view)
@@ -286,7 +288,7 @@ def _distance(first: Tensor, second: Tensor) -> Tensor:
     return ((first - second).square().sum(-1) + 1e-6).sqrt()
 
 
-def _posterior(net: MotionPrior, situation: Situation, context: Context) -> Tensor:
+def _posterior(net: MotionPrior, situation: GraphSituation, context: Context) -> Tensor:
     """(1, N, 16) start of the first stage: the posterior's means."""
     pose = situation.graph["pose"][0]
     rows = []
@@ -305,5 +307,5 @@ def _posterior(net: MotionPrior, situation: Situation, context: Context) -> Tens
         return net.posterior(situation.graph, context, future).mean
 
 
-def _detached(motions: Motions) -> Motions:
-    return Motions(*(part.detach() for part in motions))
+def _detached(motions: DecodedMotions) -> DecodedMotions:
+    return DecodedMotions(*(part.detach() for part in motions))

@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
-    Motion,
+    AgentMotion,
     OpponentChoice,
     Scouted,
     deadline,
@@ -43,7 +43,7 @@ from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import Attack, Budget, Case, Floats
 
 if TYPE_CHECKING:
-    from deepmf_sumo.baselines._art_descent import Bounds, Descent
+    from deepmf_sumo.baselines._art_descent import ArtDescent, PerturbationBounds
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent, where it begins"
 
@@ -109,14 +109,14 @@ class ART:
         until = deadline(budget)
         perturb = self._history if chosen.form == "history" else self._future
 
-        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+        def aim(scouted: Scouted, rollouts: Sequence[AgentMotion]) -> Aimed:
             return self._aim(scouted, rollouts[-1], *perturb(scouted, rollouts[-1], until, rng))
 
         return attack_in_rounds(case, simulate, choose, aim, chosen.rounds, budget)
 
     def _future(
-        self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
-    ) -> tuple[Floats, "Descent"]:
+        self, scouted: Scouted, av: AgentMotion, deadline: float, rng: np.random.Generator
+    ) -> tuple[Floats, "ArtDescent"]:
         """(R, K, 2) the opponent's reference, made drivable and bent into the AV's path."""
         from deepmf_sumo.baselines import _art_descent
 
@@ -124,7 +124,7 @@ class ART:
         start = Start.of(view, scouted.opponent_id)
         reference = open_loop.continued(scouted.reference, start)
         calm = track(reference[None], start, chosen.limits.rows(1)).position_m[0]
-        target = _art_descent.Target(
+        target = _art_descent.ArtTarget(
             position_m=open_loop.continued(av, Start.of(view, view.av_id)),
             heading_rad=av.heading_rad,
             there=av.valid,
@@ -138,8 +138,8 @@ class ART:
         return calm + found.offset_m, found
 
     def _history(
-        self, scouted: Scouted, av: Motion, deadline: float, rng: np.random.Generator
-    ) -> tuple[Floats, "Descent"]:
+        self, scouted: Scouted, av: AgentMotion, deadline: float, rng: np.random.Generator
+    ) -> tuple[Floats, "ArtDescent"]:
         """(R, 80, 2) the likeliest futures of the opponent under perturbed histories."""
         from deepmf_sumo.baselines import _art_history
         from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
@@ -166,25 +166,27 @@ class ART:
             deadline,
             rng,
         )
-        past = _art_history.Past(view, agent_id, net)
+        past = _art_history.PerturbedPast(view, agent_id, net)
         forecasts = [
             marginal.predict(past.view(offset), agent_id).modes(chosen.modes)
             for offset in found.offset_m
         ]
         return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found
 
-    def _bounds(self, reach_m: float) -> "Bounds":
-        from deepmf_sumo.baselines._art_descent import Bounds
+    def _bounds(self, reach_m: float) -> "PerturbationBounds":
+        from deepmf_sumo.baselines._art_descent import PerturbationBounds
 
         chosen = self._settings
-        return Bounds(
+        return PerturbationBounds(
             reach_m=reach_m,
             speed_mps=chosen.speed_mps,
             accel_mps2=max(chosen.accel_mps2, chosen.brake_mps2),
             jerk_mps3=chosen.jerk_mps3,
         )
 
-    def _aim(self, scouted: Scouted, av: Motion, reference_m: Floats, found: "Descent") -> Aimed:
+    def _aim(
+        self, scouted: Scouted, av: AgentMotion, reference_m: Floats, found: "ArtDescent"
+    ) -> Aimed:
         """The smallest perturbation that meets the AV when tracked, else the nearest miss."""
         view = scouted.view
         start = Start.of(view, scouted.opponent_id)

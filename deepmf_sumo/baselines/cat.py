@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.attacks._episodes import Motion, OpponentChoice, Scouted
+from deepmf_sumo.attacks._episodes import AgentMotion, OpponentChoice, Scouted
 from deepmf_sumo.attacks.base import Simulate
 from deepmf_sumo.baselines import _open_loop as open_loop
 from deepmf_sumo.baselines._open_loop import (
@@ -87,13 +87,13 @@ class CAT:
         marginal = self._marginal
         assert marginal is not None
 
-        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+        def aim(scouted: Scouted, rollouts: Sequence[AgentMotion]) -> Aimed:
             return self._aim(scouted, rollouts, marginal)
 
         choose, rounds = self._opponent.of(case), self._settings.rounds
         return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
 
-    def _aim(self, scouted: Scouted, rollouts: Sequence[Motion], marginal: Marginal) -> Aimed:
+    def _aim(self, scouted: Scouted, rollouts: Sequence[AgentMotion], marginal: Marginal) -> Aimed:
         """The best candidate, and its scores."""
         view = scouted.view
         last = Answers.of(view, rollouts[-self._settings.memory :])

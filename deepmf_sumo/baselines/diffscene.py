@@ -28,7 +28,7 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
-    Motion,
+    AgentMotion,
     OpponentChoice,
     Scouted,
     deadline,
@@ -106,7 +106,7 @@ class DiffScene:
         budget = limited(budget, 1 + rounds, self._settings.seconds)
         until = deadline(budget)
 
-        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+        def aim(scouted: Scouted, rollouts: Sequence[AgentMotion]) -> Aimed:
             return self._aim(scouted, rollouts[-1], rng, until)
 
         return attack_in_rounds(case, simulate, choose, aim, rounds, budget)
@@ -119,7 +119,9 @@ class DiffScene:
 
         return diffusion_prior(self._weights)
 
-    def _aim(self, scouted: Scouted, av: Motion, rng: np.random.Generator, until: float) -> Aimed:
+    def _aim(
+        self, scouted: Scouted, av: AgentMotion, rng: np.random.Generator, until: float
+    ) -> Aimed:
         """Draw, track, and choose."""
         chosen, view = self._settings, scouted.view
         start, guide = Start.of(view, scouted.opponent_id), self._guide(scouted, av)
@@ -143,11 +145,11 @@ class DiffScene:
             },
         )
 
-    def _guide(self, scouted: Scouted, av: Motion) -> "Guide":
+    def _guide(self, scouted: Scouted, av: AgentMotion) -> "Guide":
         from deepmf_sumo.baselines import _diffscene_guidance as guidance
 
         chosen = self._settings
-        terms = guidance.Terms(
+        terms = guidance.GuidanceTerms(
             off_road=chosen.off_road,
             others=chosen.others,
             hardness=chosen.hardness,

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
-    Motion,
+    AgentMotion,
     OpponentChoice,
     Scouted,
     deadline,
@@ -43,7 +43,7 @@ from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
 
 if TYPE_CHECKING:
-    from deepmf_sumo.baselines._king_descent import Around, Opponent
+    from deepmf_sumo.baselines._king_descent import Around, KingOpponent
 
 FORESIGHT = "the un-attacked motion of all road users, where it begins"
 _ROAD_M: Final = 120.0
@@ -105,25 +105,25 @@ class KING:
         budget = limited(budget, 1 + chosen.rounds, chosen.seconds)
         until = deadline(budget)
 
-        def aim(scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+        def aim(scouted: Scouted, rollouts: Sequence[AgentMotion]) -> Aimed:
             return self._aim(scouted, rollouts[-1], until)
 
         return attack_in_rounds(case, simulate, self._opponent.of(case), aim, chosen.rounds, budget)
 
-    def _aim(self, scouted: Scouted, av: Motion, until: float) -> Aimed:
+    def _aim(self, scouted: Scouted, av: AgentMotion, until: float) -> Aimed:
         """The descent, tracked within the limits."""
         from deepmf_sumo.baselines import _king_descent as king
 
         chosen, view = self._settings, scouted.view
         start = Start.of(view, scouted.opponent_id)
-        bounds = king.Bounds(
+        bounds = king.OpponentBounds(
             accel_change_mps2=chosen.accel_change_mps2,
             curvature_change_per_m=chosen.curvature_change_per_m,
             accel_mps2=chosen.accel_mps2,
             brake_mps2=chosen.brake_mps2,
             lateral_mps2=chosen.lateral_mps2,
         )
-        terms = king.Terms(off_road=chosen.off_road, others=chosen.others)
+        terms = king.CostTerms(off_road=chosen.off_road, others=chosen.others)
         found = king.descend(
             _opponent(scouted, start), _around(scouted, av, start), bounds, terms, chosen.rate,
             chosen.iterations, until,
@@ -151,9 +151,9 @@ def _every_step(start: Start, position_m: Floats, steps: int) -> Floats:
     return np.stack([np.interp(wanted, known, points[:, axis]) for axis in (0, 1)], -1)
 
 
-def _opponent(scouted: Scouted, start: Start) -> "Opponent":
+def _opponent(scouted: Scouted, start: Start) -> "KingOpponent":
     """The opponent and the controls of its unattacked motion."""
-    from deepmf_sumo.baselines._king_descent import EVERY, Opponent
+    from deepmf_sumo.baselines._king_descent import EVERY, KingOpponent
 
     path = open_loop.continued(scouted.reference, start)
     heading = np.unwrap(np.concatenate([[start.heading_rad], open_loop.headings(path, start)]))
@@ -163,7 +163,7 @@ def _opponent(scouted: Scouted, start: Start) -> "Opponent":
     mean = way / (EVERY * DT_S)
     speed = np.concatenate([[start.speed_mps], (mean[:-1] + mean[1:]) / 2, mean[-1:]])
     turned = np.diff(heading[at])
-    return Opponent(
+    return KingOpponent(
         position_m=start.position_m,
         heading_rad=start.heading_rad,
         speed_mps=start.speed_mps,
@@ -173,7 +173,7 @@ def _opponent(scouted: Scouted, start: Start) -> "Opponent":
     )
 
 
-def _around(scouted: Scouted, av: Motion, start: Start) -> "Around":
+def _around(scouted: Scouted, av: AgentMotion, start: Start) -> "Around":
     """The AV, other road users and the road, at the times that are compared."""
     from deepmf_sumo.baselines._king_descent import EVERY, Around
 

@@ -16,9 +16,9 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from deepmf_sumo.attacks._episodes import Motion, Scouted, plan_of
+from deepmf_sumo.attacks._episodes import AgentMotion, Scouted, plan_of
 from deepmf_sumo.baselines import _open_loop as open_loop
-from deepmf_sumo.baselines._open_loop import Aimed, AimedSettings, Rounds
+from deepmf_sumo.baselines._open_loop import Aimed, AimedRounds, AimedSettings
 from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.scene import DT_S, Floats, Ints
 
@@ -40,7 +40,7 @@ class Settings(AimedSettings):
     within_limits: bool = False
 
 
-def _aim(settings: Settings, scouted: Scouted, answers: Sequence[Motion]) -> Aimed:
+def _aim(settings: Settings, scouted: Scouted, answers: Sequence[AgentMotion]) -> Aimed:
     """The curve into the AV's last rollout."""
     view, av = scouted.view, answers[-1]
     start = Start.of(view, scouted.opponent_id)
@@ -78,6 +78,6 @@ def _best(gap_m: Floats) -> int:
     return int(first.argmin())
 
 
-def build(settings: Settings, weights: str) -> Rounds:
+def build(settings: Settings, weights: str) -> AimedRounds:
     """The adversary; ``weights``: of the network that chooses the opponent."""
-    return Rounds(settings, weights, partial(_aim, settings))
+    return AimedRounds(settings, weights, partial(_aim, settings))

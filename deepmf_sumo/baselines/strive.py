@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
-    Motion,
+    AgentMotion,
     OpponentChoice,
     OpponentSettings,
     Scouted,
@@ -41,8 +41,8 @@ from deepmf_sumo.scene import AgentId, Attack, Budget, Case, Trial, View
 from deepmf_sumo.scene.geometry import frames
 
 if TYPE_CHECKING:
-    from deepmf_sumo.baselines._scene_graph import Situation
-    from deepmf_sumo.baselines._strive import Search
+    from deepmf_sumo.baselines._scene_graph import GraphSituation
+    from deepmf_sumo.baselines._strive import LatentSearch
     from deepmf_sumo.baselines.priors.strive import MotionPrior
 
 ANY = "any"
@@ -138,11 +138,11 @@ class _Stages:
     def __init__(self, settings: Settings, net: "MotionPrior", case: Case, budget: Budget) -> None:
         self._settings, self._net, self._case = settings, net, case
         self._deadline = deadline(budget)
-        self._search: Search | None = None
-        self._situation: Situation | None = None
+        self._search: LatentSearch | None = None
+        self._situation: GraphSituation | None = None
         self._matched_m = 0.0
 
-    def aim(self, scouted: Scouted, rollouts: Sequence[Motion]) -> Aimed:
+    def aim(self, scouted: Scouted, rollouts: Sequence[AgentMotion]) -> Aimed:
         """One round: match the AV's last rollout, then attack it."""
         if self._search is None or self._situation is None:
             self._begin(scouted)
@@ -173,7 +173,7 @@ class _Stages:
         assert self._search is not None
         assert self._situation is not None
         plan = attack.rollout.plans[0]
-        motion = Motion(
+        motion = AgentMotion(
             position_m=plan.position_m,
             heading_rad=plan.heading_rad,
             speed_mps=plan.speed_mps,
@@ -201,7 +201,9 @@ class _Stages:
             able = (name for name in self._situation.ids if _can_attack(view, name))
             attackers = [name for name in able if not _always_behind(scouted, name)] or attackers
         weights = strive.Costs(chosen.others, chosen.road, chosen.prior, chosen.init)
-        self._search = strive.Search(self._net, self._situation, attackers, weights, self._deadline)
+        self._search = strive.LatentSearch(
+            self._net, self._situation, attackers, weights, self._deadline
+        )
         self._matched_m = self._search.match(chosen.match_iterations)
 
 

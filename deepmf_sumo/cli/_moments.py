@@ -11,11 +11,11 @@ from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.results.result import Result
-    from deepmf_sumo.study.moments import Found, Request
+    from deepmf_sumo.study.moments import FoundMoments, MomentRequest
     from deepmf_sumo.sumo.simulation.sumo_config import Configuration
 
 
-def announce_moments(request: Request, found: Found) -> None:
+def announce_moments(request: MomentRequest, found: FoundMoments) -> None:
     """A line on what was found, on standard error; one on standard output if it was nothing."""
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.scene import DT_S
@@ -60,7 +60,9 @@ def _drawn(count: int, pool: int) -> str:
     )
 
 
-def no_conflict(results: Sequence[Result], looked: Sequence[tuple[Request, Found]]) -> str:
+def no_conflict(
+    results: Sequence[Result], looked: Sequence[tuple[MomentRequest, FoundMoments]]
+) -> str:
     """That no attack came to a conflict, and what may find one; empty where one did."""
     from deepmf_sumo.report.table import counted
     from deepmf_sumo.results import statistics
@@ -83,7 +85,7 @@ def no_conflict(results: Sequence[Result], looked: Sequence[tuple[Request, Found
     )
 
 
-def _busiest(looked: Sequence[tuple[Request, Found]]) -> Iterator[str]:
+def _busiest(looked: Sequence[tuple[MomentRequest, FoundMoments]]) -> Iterator[str]:
     """The edge where most vehicles can be attacked, of one network that is attacked as a whole."""
     from deepmf_sumo.report.table import counted
 
@@ -110,7 +112,7 @@ def _of_the_network(configuration: Configuration) -> Iterator[str]:
         )
 
 
-def _attacked_from(found: Found) -> str:
+def _attacked_from(found: FoundMoments) -> str:
     if found.from_s is None:
         return ""
     return f"; attacked from {found.from_s:g} s on" + (f", {found.from_why}" * bool(found.from_why))

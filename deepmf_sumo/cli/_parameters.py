@@ -26,7 +26,7 @@ _LARGEST: Final = 2**32 - 1
 _PART: Final = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
 
 
-class Group(click.Group):
+class CommandGroup(click.Group):
     """A group of commands that suggests the nearest one for an unknown name."""
 
     def resolve_command(

@@ -77,7 +77,7 @@ def command(
     host, number = place
     port = Port(number=number, host=host, order=keys.order, wait_s=keys.wait_s)
     stay = Stay(until_s=until_s, attacks=keys.attacks, patience_s=keys.patience_s)
-    wish = live.Wish(sets=tuple(rest), pause_s=keys.pause_s, net=keys.net, **given)
+    wish = live.AttackRequest(sets=tuple(rest), pause_s=keys.pause_s, net=keys.net, **given)
     with (
         leaving() as stopped,
         watched(keys.http, wish.avs) as (watch, tell),

@@ -13,7 +13,7 @@ from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.spec.document import Document
-    from deepmf_sumo.study.moments import Found, Request
+    from deepmf_sumo.study.moments import FoundMoments, MomentRequest
 
 
 @click.command(
@@ -108,9 +108,9 @@ def attacked(
     sweep = Sweep.begin(wanted, keys, pictures=True)
     documents = _documents(sumo_options, configs, rest, wanted)
     specs = [moments.spec_of(one) for one in documents]
-    looked: list[tuple[Request, Found]] = []
+    looked: list[tuple[MomentRequest, FoundMoments]] = []
 
-    def announce(request: "Request", found: "Found") -> None:
+    def announce(request: "MomentRequest", found: "FoundMoments") -> None:
         looked.append((request, found))
         announce_moments(request, found)
 

@@ -10,7 +10,7 @@ from deepmf_sumo.cli._parameters import AFTER, RESULTS, FiniteRange, WithSumoOpt
 from deepmf_sumo.errors import OutputError
 
 if TYPE_CHECKING:
-    from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
+    from deepmf_sumo.judge.metrics.traffic_conflicts import ConflictLimits
     from deepmf_sumo.roadcheck.conflict_places import PlaceConflicts
     from deepmf_sumo.roadcheck.conflicts import Observation
     from deepmf_sumo.roadcheck.motion_survey import Survey
@@ -75,7 +75,7 @@ def command(
     from deepmf_sumo import files
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.cli._keys import ConflictKeys, taken
-    from deepmf_sumo.judge.metrics.traffic_conflicts import Limits
+    from deepmf_sumo.judge.metrics.traffic_conflicts import ConflictLimits
     from deepmf_sumo.results.risk import places
     from deepmf_sumo.roadcheck import conflict_places as conflicts
     from deepmf_sumo.roadcheck import conflicts as recording
@@ -95,7 +95,7 @@ def command(
         config=config, sumo_options=options, seed=seed, from_s=given["from_s"],
         until_s=given["until_s"],
     )  # fmt: skip
-    limits = Limits(**dict(keys))
+    limits = ConflictLimits(**dict(keys))
     if overwrite and not trj:
         for name in (recording.TRAJECTORIES, recording.ROAD_USERS):
             with files.writing(out):
@@ -118,7 +118,7 @@ def _refuse(out: Path, names: Sequence[str], overwrite: bool) -> None:
         )
 
 
-def _about(wanted: "Survey", limits: "Limits", seen: "Observation") -> dict[str, Any]:
+def _about(wanted: "Survey", limits: "ConflictLimits", seen: "Observation") -> dict[str, Any]:
     """What ``conflicts.json`` says."""
     return {
         "config": wanted.config.name,

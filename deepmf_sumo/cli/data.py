@@ -9,18 +9,18 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from deepmf_sumo.cli._parameters import Group, format_option
+from deepmf_sumo.cli._parameters import CommandGroup, format_option
 from deepmf_sumo.errors import ConversionError, ReaderError, SimulationError, UsageError
 
 if TYPE_CHECKING:
-    from deepmf_sumo.training.convert_all import Row
+    from deepmf_sumo.training.convert_all import ConvertedScene
 
 _DATA = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
 KINDS = ("grid", "spider", "random", "junctions", "motorway", "mix")
 """As in `training.generated`, which is not imported for help."""
 
 
-@click.group(name="data", cls=Group, short_help="List, convert and record scenes.")
+@click.group(name="data", cls=CommandGroup, short_help="List, convert and record scenes.")
 def command() -> None:
     """List recorded scenes, convert them to SUMO networks, and record SUMO traffic as scenes."""
 
@@ -116,7 +116,7 @@ def convert(data: tuple[Path, ...], out: Path, jobs: int) -> None:
     from deepmf_sumo.scene import readers
     from deepmf_sumo.training.convert_all import TABLE, convert_all
 
-    rows: list[Row] = []
+    rows: list[ConvertedScene] = []
     for row in convert_all(readers.scenes(data), out, jobs):
         rows.append(row)
         if row.status == "failed":

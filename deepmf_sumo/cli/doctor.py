@@ -36,7 +36,7 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
     import deepmf_sumo
 
     click.echo(f"deepmf-sumo {deepmf_sumo.__version__}")
-    checks: dict[str, Callable[[], Finding]] = {
+    checks: dict[str, Callable[[], CheckResult]] = {
         "Python": python,
         "SUMO packages": sumo_versions,
         "libsumo": libsumo,
@@ -65,19 +65,19 @@ PROBE_S: Final = 120.0
 """The first import of torch from a slow disk takes a minute."""
 
 
-class Finding(NamedTuple):
+class CheckResult(NamedTuple):
     """What a check found; ``warning``: something that few users need does not work."""
 
     state: State
     text: str
 
 
-def look(check: Callable[[], Finding]) -> Finding:
+def look(check: Callable[[], CheckResult]) -> CheckResult:
     """The finding of a check; one that fails itself is a finding too."""
     try:
         return check()
     except Exception as error:  # noqa: BLE001 - whatever is broken here is what is looked for
-        return Finding("broken", f"{type(error).__name__}: {error}")
+        return CheckResult("broken", f"{type(error).__name__}: {error}")
 
 
 def probe(code: str) -> tuple[bool, str]:
@@ -117,25 +117,25 @@ _RUN_MB: Final = 1000
 _CGROUP: Final = Path("/sys/fs/cgroup/memory.max")
 
 
-def cores() -> Finding:
+def cores() -> CheckResult:
     """Cores that this process may use, for --jobs."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding("ok", f"{usable or 1}: --jobs {usable or 1}")
+    return CheckResult("ok", f"{usable or 1}: --jobs {usable or 1}")
 
 
-def memory() -> Finding:
+def memory() -> CheckResult:
     """Memory that is free, within the container's limit."""
     free, limit = _free_mb(), _limit_mb()
     if free is None:
-        return Finding("ok", "not known on this system")
+        return CheckResult("ok", "not known on this system")
     usable = min(free, limit) if limit is not None else free
     enough = usable >= _RUN_MB
     told = f"{free:.0f} MB free" + (f", limit {limit:.0f} MB" if limit is not None else "")
     need = f"; a run needs about {_RUN_MB} MB" if not enough else ""
-    return Finding("ok" if enough else "warning", told + need)
+    return CheckResult("ok" if enough else "warning", told + need)
 
 
-def weights_of_set(name: str) -> Finding:
+def weights_of_set(name: str) -> CheckResult:
     """Whether a set of weights is there and fits the networks; which others there are."""
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
@@ -147,10 +147,10 @@ def weights_of_set(name: str) -> Finding:
     )
     there = {file.parent.name for home in _homes() for file in home.glob("*/opponent.json")}
     also = f"; also there: {', '.join(sorted(there - {name}))}" if there - {name} else ""
-    return Finding("ok" if good else "broken", text + also)
+    return CheckResult("ok" if good else "broken", text + also)
 
 
-def cache() -> Finding:
+def cache() -> CheckResult:
     """Whether converted networks can be kept, how much is, and how much space is left."""
     from deepmf_sumo.files import cache_folder
 
@@ -161,11 +161,11 @@ def cache() -> Finding:
             pass
     except OSError as error:
         hint = "set DEEPMF_SUMO_HOME to a folder that can"
-        return Finding("broken", f"{folder} cannot be written ({error.strerror}); {hint}")
+        return CheckResult("broken", f"{folder} cannot be written ({error.strerror}); {hint}")
     held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / _MB
     free = shutil.disk_usage(folder).free / _MB
     text = f"{folder}, {held:.0f} MB in it, {free:.0f} MB left"
-    return Finding("ok" if free >= 100 else "warning", text)
+    return CheckResult("ok" if free >= 100 else "warning", text)
 
 
 def _homes() -> list[Path]:
@@ -200,64 +200,64 @@ PROGRAM_S: Final = 60.0
 _PROGRAMS: Final = "import pathlib, sumo; print(pathlib.Path(sumo.SUMO_HOME))"
 
 
-def python() -> Finding:
+def python() -> CheckResult:
     """The interpreter."""
     version = ".".join(map(str, sys.version_info[:3]))
     fits = sys.version_info[:2] >= OLDEST_PYTHON
     oldest = ".".join(map(str, OLDEST_PYTHON))
     text = f"{version}, {sys.executable}" + ("" if fits else f"; {oldest} or newer is needed")
-    return Finding("ok" if fits else "broken", text)
+    return CheckResult("ok" if fits else "broken", text)
 
 
-def sumo_versions() -> Finding:
+def sumo_versions() -> CheckResult:
     """Whether SUMO's four packages are there, in the one version that is asked for."""
     found = {name: _installed(name) for name in SUMO}
     wanted = _wanted()
     told = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
     wrong = [name for name, version in found.items() if version is None or version != wanted[name]]
     if not wrong:
-        return Finding("ok", told)
+        return CheckResult("ok", told)
     asked = " ".join(f"{name}=={wanted[name]}" for name in wrong)
-    return Finding("broken", f"{told}; install them as: pip install {asked}")
+    return CheckResult("broken", f"{told}; install them as: pip install {asked}")
 
 
-def libsumo() -> Finding:
+def libsumo() -> CheckResult:
     """Whether SUMO's library can be loaded into Python."""
     good, text = probe("import libsumo; print(libsumo.getVersion()[1])")
     return _loaded(good, text)
 
 
-def netconvert() -> Finding:
+def netconvert() -> CheckResult:
     """Whether SUMO's programs start; networks are built by one of them."""
     return _program("netconvert", "broken", "networks cannot be built")
 
 
-def sumo_gui() -> Finding:
+def sumo_gui() -> CheckResult:
     """Whether `sweep.gui` can work: a program and a display."""
     found = _program("sumo-gui", "warning", "sweep.gui does not work")
     if found.state != "ok" or sys.platform in {"win32", "darwin"}:
         return found
     display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     if display:
-        return Finding("ok", f"{found.text}, display {display}")
-    return Finding(
+        return CheckResult("ok", f"{found.text}, display {display}")
+    return CheckResult(
         "warning", "no display (DISPLAY is not set): sweep.gui does not work, all else does"
     )
 
 
-def sumo_home() -> Finding:
+def sumo_home() -> CheckResult:
     """Whether SUMO_HOME, which is not needed here, points to another SUMO."""
     named = os.environ.get("SUMO_HOME")
     if not named:
-        return Finding("ok", "not set; the installed package is used")
+        return CheckResult("ok", "not set; the installed package is used")
     good, own = probe(_PROGRAMS)
     if good and Path(named).resolve() == Path(own).resolve():
-        return Finding("ok", named)
+        return CheckResult("ok", named)
     what = "another SUMO" if Path(named).is_dir() else "not a folder"
-    return Finding("warning", f"{named} is {what}; here {own} is used")
+    return CheckResult("warning", f"{named} is {what}; here {own} is used")
 
 
-def networks() -> Finding:
+def networks() -> CheckResult:
     """Whether the networks can be computed, and by what."""
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
@@ -274,7 +274,7 @@ def networks() -> Finding:
     return _loaded(good, text)
 
 
-def libraries() -> Finding:
+def libraries() -> CheckResult:
     """Whether the other libraries can be loaded."""
     good, text = probe(f"import {', '.join(_LIBRARIES)}")
     if good:
@@ -283,16 +283,16 @@ def libraries() -> Finding:
     return _loaded(good, text)
 
 
-def _program(name: str, failed: State, consequence: str) -> Finding:
+def _program(name: str, failed: State, consequence: str) -> CheckResult:
     good, text = probe(_PROGRAMS)
     if good:
         file = f"{name}.exe" if sys.platform == "win32" else name
         good, text = ended([str(Path(text) / "bin" / file), "--version"], PROGRAM_S)
-    return Finding("ok", "starts") if good else Finding(failed, f"{consequence}: {text}")
+    return CheckResult("ok", "starts") if good else CheckResult(failed, f"{consequence}: {text}")
 
 
-def _loaded(good: bool, text: str) -> Finding:
-    return Finding("ok", text) if good else Finding("broken", f"cannot be loaded: {text}")
+def _loaded(good: bool, text: str) -> CheckResult:
+    return CheckResult("ok", text) if good else CheckResult("broken", f"cannot be loaded: {text}")
 
 
 def _wanted() -> dict[str, str]:

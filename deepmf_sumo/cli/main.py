@@ -19,7 +19,7 @@ import click
 import deepmf_sumo
 from deepmf_sumo import cli
 from deepmf_sumo.cli import _gone as gone
-from deepmf_sumo.cli._parameters import Group
+from deepmf_sumo.cli._parameters import CommandGroup
 from deepmf_sumo.errors import EXIT_CODES, DeepmfError, OutputError
 from deepmf_sumo.texts import shown
 
@@ -40,7 +40,7 @@ _MAKE_ROOM: Final = (
 )
 
 
-class Commands(Group):
+class Commands(CommandGroup):
     """The modules of this folder."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
@@ -60,7 +60,7 @@ class Commands(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As of `Group`; a command that is gone is refused with what to write instead."""
+        """As of `CommandGroup`; a command that is gone is refused with what to write instead."""
         if args[0] in gone.COMMANDS:
             ctx.fail(gone.command(args[0]))
         return super().resolve_command(ctx, args)

@@ -15,7 +15,7 @@ from deepmf_sumo.errors import SimulationError, exit_code
 
 if TYPE_CHECKING:
     from deepmf_sumo.cli._leaving import Leaving
-    from deepmf_sumo.live import Server
+    from deepmf_sumo.live import SumoServer
     from deepmf_sumo.live.attacker import Attached, Prepared
     from deepmf_sumo.live.lockstep import Stay
 
@@ -68,13 +68,13 @@ def command(
     keys, rest = taken(sets, LiveKeys, LIVE)
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
     _check_step(config, options)
-    wish = live.Wish(sets=tuple(rest), pause_s=keys.pause_s, **given)
+    wish = live.AttackRequest(sets=tuple(rest), pause_s=keys.pause_s, **given)
     with (
         closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
         leaving() as stopped,
         attach.watched(keys.http, wish.avs) as (watch, tell),
         prepared.record.written_by_sumo() as written,
-        live.Server(config, port, written, options, gui=gui) as server,
+        live.SumoServer(config, port, written, options, gui=gui) as server,
     ):
         whole = Stay(until_s=until_s, attacks=keys.attacks, patience_s=float("inf"))
         sessions = partial(_simulations, server, prepared, whole, stopped, tell, watch)
@@ -102,7 +102,7 @@ def _check_step(config: Path, options: Sequence[str]) -> None:
 
 
 def _served(
-    server: "Server",
+    server: "SumoServer",
     prepared: "Prepared",
     stopped: "Leaving",
     sessions: "Callable[[], Iterator[Attached]]",
@@ -133,7 +133,7 @@ def _show(avs: Sequence[str], out: Path, done: "Attached") -> None:
 
 
 def _simulations(
-    server: "Server",
+    server: "SumoServer",
     prepared: "Prepared",
     stay: "Stay",
     stopped: "Leaving",

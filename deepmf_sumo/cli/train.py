@@ -71,7 +71,7 @@ def command(network: str, name: str, **settings: Any) -> None:
         return
     from deepmf_sumo.training import command as training
 
-    request = training.Request(
+    request = training.TrainingRequest(
         network=network,
         name=name,
         command=" ".join(["deepmf-sumo", *sys.argv[1:]]),

@@ -25,9 +25,9 @@ from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
-from deepmf_sumo.judge.avoidability.av_path import State
+from deepmf_sumo.judge.avoidability.av_path import VehicleState
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
-from deepmf_sumo.judge.avoidability.grading import Past, avoidable
+from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
 from deepmf_sumo.scene import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear
@@ -205,7 +205,7 @@ class Fair(Constraint):
     keeps_plan = True
 
     def __init__(self, settings: Settings) -> None:
-        self._driven = Driven()
+        self._driven = EpisodeHistory()
 
     def allowed(
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
@@ -232,7 +232,7 @@ class Fair(Constraint):
         return bool(fair_candidates(situation, one, hit, self._driven)[0])
 
 
-class Driven:
+class EpisodeHistory:
     """What AV and opponent have driven since the first plan, and what was expected of the opponent.
 
     A view contains the last second; between plans that are farther apart poses are interpolated.
@@ -263,9 +263,9 @@ class Driven:
         self._step = view.step
 
     @property
-    def past(self) -> Past:
+    def past(self) -> PastPoses:
         """Without the present."""
-        return Past(self._poses[:-1, 0], self._poses[:-1, 1])
+        return PastPoses(self._poses[:-1, 0], self._poses[:-1, 1])
 
     def expected_m(self, steps: int) -> Floats:
         """(H + 1 + steps, 2) where the opponent was expected, from the first plan on."""
@@ -277,7 +277,7 @@ class Driven:
 
 
 def fair_candidates(
-    situation: Situation, futures: Futures, av: Forecast, driven: Driven | None = None
+    situation: Situation, futures: Futures, av: Forecast, driven: EpisodeHistory | None = None
 ) -> Bools:
     """(N1) futures of the opponent that a reference driver in the AV's place can avoid.
 
@@ -302,9 +302,9 @@ def fair_candidates(
     )
 
 
-def _state(view: View, agent_id: AgentId) -> State:
+def _state(view: View, agent_id: AgentId) -> VehicleState:
     row = view.history.row(agent_id)
-    return State(
+    return VehicleState(
         view.history.position_m[row, -1],
         float(view.history.heading_rad[row, -1]),
         float(view.history.speed_mps[row, -1]),

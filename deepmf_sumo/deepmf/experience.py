@@ -45,7 +45,7 @@ _LEAST: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Motion:
+class _Poses:
     """Poses of a vehicle from a step on: (F, 2), (F), and its speed at the step before."""
 
     position_m: Floats
@@ -54,7 +54,7 @@ class _Motion:
     now_mps: float
 
     @classmethod
-    def of(cls, rollout: Rollout, agent_id: AgentId, step: int) -> "_Motion | None":
+    def of(cls, rollout: Rollout, agent_id: AgentId, step: int) -> "_Poses | None":
         """After a step; at constant velocity after the rollout; None if it is not there."""
         tracks = rollout.tracks
         if agent_id not in tracks.ids or step >= tracks.steps:
@@ -85,8 +85,8 @@ class _Try:
 class _Answers:
     """R tries at the step of a plan: motions of the AV and of the opponent."""
 
-    av: list[_Motion]
-    opponent: list[_Motion]
+    av: list[_Poses]
+    opponent: list[_Poses]
     wanted: Bools
 
 
@@ -173,11 +173,11 @@ class Experience:
         return list(known), np.stack(counts)
 
     def _answers(self, view: View, opponent_id: AgentId) -> _Answers:
-        found: list[tuple[_Motion, _Motion, bool]] = []
+        found: list[tuple[_Poses, _Poses, bool]] = []
         for one in self._tries:
             if one.rollout.opponent_id == opponent_id:
-                av = _Motion.of(one.rollout, view.av_id, view.step)
-                opponent = _Motion.of(one.rollout, opponent_id, view.step)
+                av = _Poses.of(one.rollout, view.av_id, view.step)
+                opponent = _Poses.of(one.rollout, opponent_id, view.step)
                 if av is not None and opponent is not None:
                     found.append((av, opponent, one.wanted))
         return _Answers(

@@ -35,10 +35,10 @@ from deepmf_sumo.scene import (
     View,
 )
 
-__all__ = ["DeepMF", "Predictors", "Settings", "build"]
+__all__ = ["DeepMF", "PredictorSet", "Settings", "build"]
 
 
-class Predictors(Protocol):
+class PredictorSet(Protocol):
     """The three networks of the paper."""
 
     @property
@@ -90,7 +90,7 @@ class DeepMF:
     def __init__(
         self,
         settings: Settings,
-        predictors: Predictors,
+        predictors: PredictorSet,
         partner_id: AgentId | None = None,
         av_driver: AvDriver = "planner",
         experience: Experience | None = None,
@@ -343,7 +343,7 @@ def _most_mass(plan: Plan) -> float:
 
 def build(
     settings: Settings,
-    predictors: Predictors,
+    predictors: PredictorSet,
     partner_id: AgentId | None = None,
     av_driver: AvDriver = "planner",
     experience: Experience | None = None,

@@ -20,7 +20,7 @@ import numpy as np
 
 from deepmf_sumo.deepmf.candidates import References, collisions, impact_sectors
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits, Start, joined
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start, joined
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
@@ -215,7 +215,7 @@ def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) ->
     )
 
 
-def _reachable_goals(goals: _Goals, start: Start, limits: Limits) -> _Goals:
+def _reachable_goals(goals: _Goals, start: Start, limits: MotionLimits) -> _Goals:
     """Goals that a constant acceleration reaches within the limits, scored by comfort."""
     seconds = (goals.step + 1) * DT_S
     along = np.maximum(goals.along_m, 1e-3)
@@ -404,7 +404,7 @@ def _timed(
     )
 
 
-def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: Limits) -> _Aims:
+def _reachable(aims: _Aims, paths: list[OwnPath], start: Start, limits: MotionLimits) -> _Aims:
     """The best aims within the limits; of aims that differ by less than a metre only the best."""
     seconds = (aims.step + 1) * DT_S
     halfway = start.speed_mps + aims.accel * seconds / 2

@@ -14,7 +14,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.networks.predict import MOST_MODES
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.scoring import Balance, Rule
-from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.errors import nearest
 from deepmf_sumo.scene import DT_S, AvDriver
 from deepmf_sumo.scene.geometry.impact import SECTORS
@@ -25,7 +25,7 @@ SectorName = Literal[
     "front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right"
 ]
 Goal = Literal["hit", "finding"]
-LIMITS: Final = Limits(accel=3.5, brake=5.0, lateral=3.5)
+LIMITS: Final = MotionLimits(accel=3.5, brake=5.0, lateral=3.5)
 """Default limits on an opponent's accelerations, which all aimed methods share."""
 _RANKED = frozenset({"argmax", "partner"})
 """Values of ``opponent`` that rank vehicles by a score."""
@@ -256,10 +256,10 @@ class Settings(plugins.Settings):
         return _COMFORT if served else 0.0
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> MotionLimits:
         """Limits on the opponent's accelerations."""
         more = 1.0 if self.aggressiveness is None else 2.0 ** (self.aggressiveness - 0.5)
-        return Limits(
+        return MotionLimits(
             accel=more * self.accel_mps2,
             brake=more * self.brake_mps2,
             lateral=more * self.lateral_mps2,

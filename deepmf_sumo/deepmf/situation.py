@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from deepmf_sumo.deepmf.tracking import Limits, Start
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start
 from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
@@ -43,7 +43,7 @@ class Situation:
     start: Start
     size_m: Floats
     av_size_m: Floats
-    limits: Limits
+    limits: MotionLimits
     horizon: int
     levels: "Levels | None"
     unattacked: Forecast | None
@@ -55,7 +55,7 @@ class Situation:
         cls,
         view: View,
         opponent_id: AgentId,
-        limits: Limits,
+        limits: MotionLimits,
         unattacked: Forecast | None = None,
         last: Plan | None = None,
         seen: Rollout | None = None,
@@ -75,9 +75,9 @@ class Situation:
             seen=seen,
         )
 
-    def others(self) -> "Others":
+    def others(self) -> "OtherAgents":
         """All agents but the two: as in the earlier episode, else at their present velocity."""
-        return Others.of(self.view, {self.view.av_id, self.opponent_id}, self.seen)
+        return OtherAgents.of(self.view, {self.view.av_id, self.opponent_id}, self.seen)
 
 
 def footprint(view: View, agent_id: AgentId) -> Floats:
@@ -86,7 +86,7 @@ def footprint(view: View, agent_id: AgentId) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Others:
+class OtherAgents:
     """B agents in the F steps from the next one on.
 
     Attributes:
@@ -100,7 +100,7 @@ class Others:
     z_m: Floats
 
     @classmethod
-    def of(cls, view: View, without: set[AgentId], seen: Rollout | None) -> "Others":
+    def of(cls, view: View, without: set[AgentId], seen: Rollout | None) -> "OtherAgents":
         """Those in a view; ``seen``: an episode that tells where they drive."""
         now = view.history
         rows = np.array([row for row, name in enumerate(now.ids) if name not in without], int)

@@ -158,7 +158,7 @@ _COURSE_SLIP = 0.2  # largest slip angle that is taken from a measured velocity,
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class MotionLimits:
     """Largest accelerations in m/s2: speeding up, braking, across the direction of motion."""
 
     accel: float
@@ -169,9 +169,9 @@ class Limits:
         """(count, 3) the same limits for each candidate."""
         return np.tile([self.accel, self.brake, self.lateral], (count, 1)).astype(float)
 
-    def mild(self) -> "Limits":
+    def mild(self) -> "MotionLimits":
         """Limits of a calm driver: at most (3, 4, 2.5) and 70 % of these limits."""
-        return Limits(
+        return MotionLimits(
             accel=min(3.0, 0.7 * self.accel),
             brake=min(4.0, 0.7 * self.brake),
             lateral=min(2.5, 0.7 * self.lateral),
@@ -244,7 +244,7 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     reference = np.asarray(reference_m, float)
     candidates, steps = reference.shape[:2]
     courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
-    state = _State(candidates, start, limits)
+    state = _SingleTrack(candidates, start, limits)
     place = np.empty((steps, candidates), dtype=np.complex128)
     heading, speed = np.empty((steps, candidates)), np.empty((steps, candidates))
     for step in range(steps):
@@ -260,7 +260,7 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     )
 
 
-class _State:
+class _SingleTrack:
     """States of M single-track vehicles that follow M courses; all arrays (M)."""
 
     def __init__(self, candidates: int, start: Start, limits: Floats) -> None:

@@ -61,7 +61,7 @@ _STOP_MPS = 0.7
 _STOPS_MPS2 = (1.0, 2.0, 3.0)
 
 
-class Line(NamedTuple):
+class HaltLine(NamedTuple):
     """Where a lane's traffic stops.
 
     Attributes:
@@ -106,7 +106,7 @@ class Line(NamedTuple):
         return -float(ahead) if ahead > 0 else float(np.hypot(ahead, left))
 
 
-def stop_lines(view: View, assignment: LaneAssignment) -> list[Line]:
+def stop_lines(view: View, assignment: LaneAssignment) -> list[HaltLine]:
     """Lines on the lanes ahead at which vehicles must stop now: at lights and stop signs.
 
     The line of a light is the start of the lane behind it.
@@ -119,12 +119,12 @@ def stop_lines(view: View, assignment: LaneAssignment) -> list[Line]:
             dx, dy = lane.centre_m[1] - lane.centre_m[0]
             brake = YELLOW_MPS2 if state in HALTS - FORBIDS else RED_MPS2
             heading, then_goes = float(np.arctan2(dy, dx)), state in STOP_FIRST
-            lines.append(Line(lane, lane.centre_m[0], heading, True, then_goes, brake))
+            lines.append(HaltLine(lane, lane.centre_m[0], heading, True, then_goes, brake))
     for sign in view.road.stop_signs:
         for lane in (known[name] for name in sign.lane_ids if name in known):
             foot = polylines.project(lane.centre_m, sign.position_m)
             point, _ = polylines.points_at(lane.centre_m, foot.along_m)
-            lines.append(Line(lane, point, float(foot.heading_rad), False, True, RED_MPS2))
+            lines.append(HaltLine(lane, point, float(foot.heading_rad), False, True, RED_MPS2))
     return lines
 
 

@@ -23,7 +23,7 @@ from deepmf_sumo.scene.scene import AgentKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surroundings:
+class RunRoad:
     """The road of a run, and what is known of it.
 
     Attributes:
@@ -61,7 +61,7 @@ class Exportable:
     name: str
     rollout: Rollout
     duration_steps: int
-    look: Callable[[], Surroundings]
+    look: Callable[[], RunRoad]
     find_net: Callable[[], NetFiles]
 
     @classmethod
@@ -80,7 +80,7 @@ class Exportable:
         )
 
     @cached_property
-    def around(self) -> Surroundings:
+    def around(self) -> RunRoad:
         """The road and its signals."""
         return self.look()
 
@@ -90,12 +90,12 @@ class Exportable:
         return self.find_net()
 
 
-def _around(rollout: Rollout, case: Case) -> Surroundings:
+def _around(rollout: Rollout, case: Case) -> RunRoad:
     if isinstance(case, RecordedCase):
         source = replace(case.scene.source, dataset=ROLLOUT)
-        return Surroundings(road=case.road, source=source, signals=case.scene.signals)
+        return RunRoad(road=case.road, source=source, signals=case.scene.signals)
     source = Source(dataset=ROLLOUT, file=str(case.config), record=0, sha256="")
-    return Surroundings(road=case.road, source=source, signals=signals_of(rollout, case.road))
+    return RunRoad(road=case.road, source=source, signals=signals_of(rollout, case.road))
 
 
 _NEAR_M: Final = 200.0

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from deepmf_sumo import files, plugins, tables
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.judge.metrics.traffic_conflicts import Motions
+from deepmf_sumo.judge.metrics.traffic_conflicts import RoadUserMotions
 from deepmf_sumo.scene import Contact, Floats, Rollout, Tracks
 from deepmf_sumo.scene.geometry import frames
 
@@ -108,9 +108,9 @@ def _going_on(tracks: Tracks, contact: Contact, rollout: Rollout, more: int) -> 
     return replace(longer, **arrays)
 
 
-def _motions(tracks: Tracks, dt_s: float) -> Motions:
+def _motions(tracks: Tracks, dt_s: float) -> RoadUserMotions:
     step, row = np.nonzero(tracks.valid.T)
-    return Motions(
+    return RoadUserMotions(
         dt_s=dt_s,
         size_m=tracks.size_m[:, :2],
         step=step,
@@ -124,7 +124,7 @@ def _motions(tracks: Tracks, dt_s: float) -> Motions:
     )
 
 
-def origin_of(motions: Motions) -> Floats:
+def origin_of(motions: RoadUserMotions) -> Floats:
     """(2) what coordinates count from: 0, or whole kilometres where they are large."""
     there = motions.position_m
     if float(np.abs(there).max()) <= _FAR_M:
@@ -134,7 +134,7 @@ def origin_of(motions: Motions) -> Floats:
 
 
 def trajectories(
-    motions: Motions,
+    motions: RoadUserMotions,
     origin_m: Floats,
     version: Literal["1.04", "3.0"] = "1.04",
     happened: int | None = None,
@@ -169,7 +169,7 @@ def trajectories(
     return b"".join(parts)
 
 
-def _accelerations(motions: Motions) -> Floats:
+def _accelerations(motions: RoadUserMotions) -> Floats:
     """(K) difference to the step before; at a vehicle's first step to the one after it."""
     order = np.lexsort((motions.step, motions.body))
     body, step, speed = motions.body[order], motions.step[order], motions.speed_mps[order]

@@ -35,7 +35,7 @@ from deepmf_sumo.judge.avoidability.av_path import AvPath, along_lanes
 from deepmf_sumo.judge.avoidability.changes import Drive
 from deepmf_sumo.judge.avoidability.encounter import (
     Encounter,
-    Moving,
+    MovingVehicle,
     ThirdParties,
     encounter_of,
     hit_by,
@@ -251,8 +251,8 @@ def _on(encounter: Encounter, drive: Drive) -> Floats | None:
     at, approach = slice(drive.release, drive.release + 1), encounter.approach
     centre, heading = encounter.path.at(encounter.av_along_m[at])
     velocity = drive.at(drive.release) * frames.unit(heading)
-    av = Moving(centre, velocity, heading, approach.av_size_m)
-    opponent = Moving(
+    av = MovingVehicle(centre, velocity, heading, approach.av_size_m)
+    opponent = MovingVehicle(
         approach.position_m[0, at], approach.velocity_mps[0, at], approach.heading_rad[0, at],
         approach.size_m,
     )  # fmt: skip

@@ -13,8 +13,16 @@ Why it is as it is:
 The room is optional: only commands, and the public name ``Attacker``, import it.
 """
 
-from deepmf_sumo.live.attacker import Attached, Attacker, Wish, attach, prepare
-from deepmf_sumo.live.server import Server
+from deepmf_sumo.live.attacker import Attached, Attacker, AttackRequest, attach, prepare
+from deepmf_sumo.live.server import SumoServer
 from deepmf_sumo.live.status import StatusServer
 
-__all__ = ["Attached", "Attacker", "Server", "StatusServer", "Wish", "attach", "prepare"]
+__all__ = [
+    "Attached",
+    "AttackRequest",
+    "Attacker",
+    "StatusServer",
+    "SumoServer",
+    "attach",
+    "prepare",
+]

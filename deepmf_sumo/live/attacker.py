@@ -25,10 +25,10 @@ from deepmf_sumo.live.connection import (
     road_files,
     shared,
 )
-from deepmf_sumo.live.engagement import Scenery, Surroundings
+from deepmf_sumo.live.engagement import LiveRoad, Scenery
 from deepmf_sumo.live.lockstep import End, Lockstep, Stay
-from deepmf_sumo.live.observer import Observer
-from deepmf_sumo.live.record import Record, Setting
+from deepmf_sumo.live.observer import LiveObserver
+from deepmf_sumo.live.record import SessionRecord, Setting
 from deepmf_sumo.live.session import LiveAttack, Session
 from deepmf_sumo.live.triggers import AtEdge, Trigger, parse
 from deepmf_sumo.scene import AgentId, Plan, TurnRules, View
@@ -68,7 +68,7 @@ _RADIUS_M: Final = 80.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
+class AttackRequest:
     """The attacks that are wanted.
 
     Attributes:
@@ -88,7 +88,7 @@ class Wish:
     net: Path | None = None
 
 
-def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
+def triggers_of(wish: AttackRequest) -> tuple[Trigger, ...]:
     """When attacks on one AV begin.
 
     Raises UsageError for an invalid trigger, duration or pause, and for an AV that is named twice.
@@ -107,7 +107,7 @@ def triggers_of(wish: Wish) -> tuple[Trigger, ...]:
     return parse([one for one in wish.triggers if one != "call"])
 
 
-def spec_of(wish: Wish) -> Spec:
+def spec_of(wish: AttackRequest) -> Spec:
     """The settings as a spec of one attack in a network has them.
 
     Raises SpecError or UsageError.
@@ -160,7 +160,7 @@ def policy_of(spec: Spec) -> Policy:
 
 def sessions(
     api: LiveApi,
-    wish: Wish,
+    wish: AttackRequest,
     spec: Spec,
     finished: Callable[[LiveAttack], None],
     policies: Sequence[Policy] = (),
@@ -179,7 +179,7 @@ def sessions(
         if not net.is_file():
             raise UsageError(f"There is no network '{net}'.")
     _check_edges(api, triggers_of(wish))
-    surroundings = Surroundings(api, net, additional)
+    surroundings = LiveRoad(api, net, additional)
     found: list[Session] = []
 
     def taken(av: AgentId) -> set[AgentId]:
@@ -191,7 +191,7 @@ def sessions(
         scenery = Scenery(
             api=api,
             av_id=av,
-            observer=Observer(api, av, _RADIUS_M),
+            observer=LiveObserver(api, av, _RADIUS_M),
             surroundings=surroundings,
             rules=TurnRules(longest_s=wish.duration_s),
         )
@@ -205,7 +205,7 @@ def sessions(
     return tuple(found)
 
 
-def setting_of(session: Session, wish: Wish, planner: str = "script") -> Setting:
+def setting_of(session: Session, wish: AttackRequest, planner: str = "script") -> Setting:
     """Where the attacks of sessions take place, and what drives the AV."""
     around = session.surroundings
     return Setting(net=around.net, road=around.road, longest_s=wish.duration_s, planner=planner)
@@ -272,7 +272,7 @@ class Attacker:
         overwrite: bool = False,
     ) -> None:
         texts = (trigger,) if isinstance(trigger, str) else tuple(trigger or ())
-        wish = Wish(
+        wish = AttackRequest(
             avs=(av,) if isinstance(av, str) else tuple(av),
             triggers=texts,
             duration_s=duration_s,
@@ -282,7 +282,7 @@ class Attacker:
         )
         api, spec = shared(conn), spec_of(wish)
         triggers_of(wish)
-        self._record = Record(
+        self._record = SessionRecord(
             None if out is None else Path(out), wish.avs, spec, overwrite=overwrite, ways=_WAYS
         )
         self._sessions = sessions(api, wish, spec, self._record.add)
@@ -379,17 +379,17 @@ class Attached:
 class Prepared:
     """All that a session needs except SUMO: the wish, and what it was made into."""
 
-    wish: Wish
+    wish: AttackRequest
     spec: Spec
     policies: tuple[Policy, ...]
-    record: Record
+    record: SessionRecord
 
     def close(self) -> None:
         """Give the folder free, after the last `attach`."""
         self.record.close()
 
 
-def prepare(wish: Wish, out: Path, *, overwrite: bool = False) -> Prepared:
+def prepare(wish: AttackRequest, out: Path, *, overwrite: bool = False) -> Prepared:
     """Errors in a command show here, before SUMO waits for this client.
 
     Args:
@@ -403,7 +403,7 @@ def prepare(wish: Wish, out: Path, *, overwrite: bool = False) -> Prepared:
     triggers_of(wish)
     spec = spec_of(wish)
     policies = tuple(policy_of(spec) for _ in wish.avs)
-    record = Record(out, wish.avs, spec, overwrite=overwrite)
+    record = SessionRecord(out, wish.avs, spec, overwrite=overwrite)
     return Prepared(wish=wish, spec=spec, policies=policies, record=record)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from deepmf_sumo.deepmf.networks.lanes import road_index
 from deepmf_sumo.live.connection import LiveApi
-from deepmf_sumo.live.observer import Observer, Sighting
+from deepmf_sumo.live.observer import LiveObserver, Sighting
 from deepmf_sumo.scene import (
     DT_S,
     AgentId,
@@ -39,7 +39,7 @@ _NEAR_M: Final = 150.0
 """Lights farther from the AV are not read: each costs a message."""
 
 
-class Surroundings:
+class LiveRoad:
     """The road and its lights.
 
     Args:
@@ -80,8 +80,8 @@ class Scenery:
 
     api: LiveApi
     av_id: AgentId
-    observer: Observer
-    surroundings: Surroundings
+    observer: LiveObserver
+    surroundings: LiveRoad
     rules: TurnRules
 
 

@@ -63,7 +63,7 @@ def _on_foot(persons: Mapping[str, Mapping[int, Any]]) -> States:
     }
 
 
-class Observer:
+class LiveObserver:
     """All agents within a radius of the AV.
 
     Args:

@@ -22,7 +22,7 @@ import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.judge.metrics import Episode, measure, measured
-from deepmf_sumo.live.session import Jump, LiveAttack, Switch
+from deepmf_sumo.live.session import LiveAttack, Switch, TimeJump
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
@@ -54,7 +54,7 @@ class Setting:
         return self.net.name.removesuffix(".gz").removesuffix(".xml").removesuffix(".net")
 
 
-class Results:
+class SessionResults:
     """The result folder ``out``, complete after each attack."""
 
     def __init__(self, out: Path, spec: Spec, setting: Setting) -> None:
@@ -166,7 +166,7 @@ SUMO_FILES: Final = "sumo"
 WAYS: Final = "--overwrite deletes them, another folder for --out keeps them"
 
 
-class Record:
+class SessionRecord:
     """The attacks of a session, or of one after the other in another simulation each.
 
     The files are complete after each attack, and after each switch of attacks.
@@ -206,7 +206,7 @@ class Record:
         self._writing = threading.Lock()
         self._out, self._spec = out, spec
         self._overwrite, self._ways = overwrite, ways
-        self._results: Results | None = None
+        self._results: SessionResults | None = None
         self._held = ExitStack()
         choice = spec.adversary
         settings = plugins.settings("adversaries", choice.name, choice.settings)
@@ -238,7 +238,7 @@ class Record:
             self._held.enter_context(
                 folder.opened(self._out, resume=False, overwrite=self._overwrite, ways=self._ways)
             )
-            self._results = Results(self._out, self._spec, setting)
+            self._results = SessionResults(self._out, self._spec, setting)
         if self._out is not None:
             self._write("going on", None)
 
@@ -266,7 +266,7 @@ class Record:
             self._write(*self._now)
         self.switched(values)
 
-    def jump(self, jump: Jump) -> None:
+    def jump(self, jump: TimeJump) -> None:
         """Note that SUMO's time jumped."""
         values = {
             "simulation": self.simulations,

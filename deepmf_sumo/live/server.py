@@ -1,8 +1,8 @@
 """SUMO with a port that any TraCI client takes for SUMO's own, and attacks behind it.
 
 SUMO inside has two clients, `attach` and the one that connects here. TraCI needs a number for each
-of several clients (``setOrder``); the `Server` gives it for its client, which needs no change. The
-`relay` passes its messages on, in a process of its own: `attach` computes in this one.
+of several clients (``setOrder``); the `SumoServer` gives it for its client, which needs no change.
+The `relay` passes its messages on, in a process of its own: `attach` computes in this one.
 """
 
 import json
@@ -27,7 +27,7 @@ _OUTPUT_S: Final = 60.0
 _LOOK_S: Final = 0.2
 
 
-class Server:
+class SumoServer:
     """SUMO with a port for `attach`, and a port that looks like SUMO's own.
 
     Args:

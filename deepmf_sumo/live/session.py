@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.errors import RunError, UsageError
-from deepmf_sumo.live.engagement import Engagement, Scenery, Surroundings
+from deepmf_sumo.live.engagement import Engagement, LiveRoad, Scenery
 from deepmf_sumo.live.observer import Sighting
-from deepmf_sumo.live.triggers import AtTime, Moment, Trigger
+from deepmf_sumo.live.triggers import AtTime, Trigger, TriggerView
 from deepmf_sumo.scene import DT_S, HISTORY_STEPS, AgentId, Rollout
 from deepmf_sumo.scene.policy import Policy
 
@@ -48,7 +48,7 @@ class Switch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Jump:
+class TimeJump:
     """SUMO's time went from one to another: its script has loaded a state."""
 
     from_s: float
@@ -97,7 +97,7 @@ class Session:
         self.av_present = False
         self.last_failure = ""
         self.switched: Callable[[Switch], None] = lambda _: None
-        self.jumped: Callable[[Jump], None] = lambda _: None
+        self.jumped: Callable[[TimeJump], None] = lambda _: None
         self._on = True
         self.enough: Callable[[], bool] = lambda: False
         self._scenery = scenery
@@ -131,7 +131,7 @@ class Session:
         return self._scenery.av_id
 
     @property
-    def surroundings(self) -> Surroundings:
+    def surroundings(self) -> LiveRoad:
         """The road of the simulation."""
         return self._scenery.surroundings
 
@@ -290,7 +290,7 @@ class Session:
             return
         self._ran_ahead = now_s > expected_s
         self._begin_anew(now_s, ahead=self._ran_ahead)
-        self.jumped(Jump(from_s=expected_s, to_s=now_s))
+        self.jumped(TimeJump(from_s=expected_s, to_s=now_s))
 
     def _begin_anew(self, now_s: float, *, ahead: bool) -> None:
         """Forget what was seen; what is later than a time that comes again has not been."""
@@ -353,7 +353,7 @@ class Session:
 
     def _begin(self) -> None:
         scenery, latest = self._scenery, self._history[-1]
-        moment = Moment(scenery.api, scenery.av_id, self.time_s, scenery.observer, latest)
+        moment = TriggerView(scenery.api, scenery.av_id, self.time_s, scenery.observer, latest)
         fired = next((one for one in self._triggers if one.fires(moment)), None)
         if fired is None:
             return

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
-from deepmf_sumo.live.observer import Observer, Sighting
+from deepmf_sumo.judge.metrics.conflict import MovingBox, time_to_collision
+from deepmf_sumo.live.observer import LiveObserver, Sighting
 from deepmf_sumo.scene import AgentId, Floats
 from deepmf_sumo.sumo.simulation.frame import Frame
 from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
@@ -17,13 +17,13 @@ _FORMS: Final = "time=SECONDS, edge=ID or ttc=SECONDS"
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TriggerView:
     """What a trigger may look at: the simulation at ``time_s``, and the agents near the AV."""
 
     api: SumoApi
     av_id: AgentId
     time_s: float
-    observer: Observer
+    observer: LiveObserver
     sighting: Sighting
 
 
@@ -36,7 +36,7 @@ class Trigger:
 
     not_before_s: float = -np.inf
 
-    def fires(self, moment: Moment) -> bool:  # noqa: ARG002 - the condition of others
+    def fires(self, moment: TriggerView) -> bool:  # noqa: ARG002 - the condition of others
         """Whether an attack is due. Called every 0.1 s between attacks, after the pause."""
         return True
 
@@ -50,7 +50,7 @@ class AtTime(Trigger):
 
     not_before_s: float
 
-    def fires(self, moment: Moment) -> bool:
+    def fires(self, moment: TriggerView) -> bool:
         """Whether it is time; never again after an attack."""
         return moment.time_s >= self.not_before_s - 1e-6
 
@@ -65,7 +65,7 @@ class AtEdge(Trigger):
 
     edge: str
 
-    def fires(self, moment: Moment) -> bool:
+    def fires(self, moment: TriggerView) -> bool:
         """Whether the AV is on the edge."""
         return bool(moment.api.vehicle.getRoadID(moment.av_id) == self.edge)
 
@@ -76,7 +76,7 @@ class AtTtc(Trigger):
 
     below_s: float
 
-    def fires(self, moment: Moment) -> bool:
+    def fires(self, moment: TriggerView) -> bool:
         """Whether the least time to collision is below the limit."""
         observer, sighting = moment.observer, moment.sighting
         if not observer.may_touch(sighting, self.below_s):
@@ -113,7 +113,7 @@ def least_ttc_s(frame: Frame, size_m: Floats, av_id: AgentId) -> float:
     if not len(others):
         return float("inf")
     av, rest = (
-        Moving(
+        MovingBox(
             frame.position_m[rows],
             frame.heading_rad[rows],
             frame.velocity_mps[rows],

@@ -53,10 +53,10 @@ class Settings(RemoteSettings):
 def build(settings: Settings) -> RemotePlanner:
     """The planner."""
     name = f"server {settings.url}"
-    return RemotePlanner(name, settings, partial(Server, name, settings.url))
+    return RemotePlanner(name, settings, partial(HttpConnection, name, settings.url))
 
 
-class Server:
+class HttpConnection:
     """A server, over one connection.
 
     Args:

@@ -22,7 +22,7 @@ SCORES: Final = LinearSegmentedColormap.from_list(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Window:
+class ViewWindow:
     """A rectangle, x0..x1 and y0..y1 in metres, of the scene turned about the rectangle's centre.
 
     Attributes:
@@ -60,10 +60,10 @@ class Window:
         return across and bool(low[1] < self.y1 and high[1] > self.y0)
 
 
-def square(centre_m: Floats, side_m: float, turn_rad: float = 0.0) -> Window:
+def square(centre_m: Floats, side_m: float, turn_rad: float = 0.0) -> ViewWindow:
     """A square around a point."""
     x, y, half = float(centre_m[0]), float(centre_m[1]), side_m / 2
-    return Window(x0=x - half, x1=x + half, y0=y - half, y1=y + half, turn_rad=turn_rad)
+    return ViewWindow(x0=x - half, x1=x + half, y0=y - half, y1=y + half, turn_rad=turn_rad)
 
 
 UNKNOWN_WIDTH_M = 3.5
@@ -113,7 +113,7 @@ PICTURE = RoadStyle()
 
 
 def draw_road(
-    axes: Axes, road: RoadMap, window: Window, inches: float, style: RoadStyle = PICTURE
+    axes: Axes, road: RoadMap, window: ViewWindow, inches: float, style: RoadStyle = PICTURE
 ) -> None:
     """Draw what the window shows of a road.
 
@@ -161,7 +161,7 @@ def draw_boxes(
     tracks: Tracks,
     places: Sequence[tuple[int, int]],
     colors: Sequence[Any],
-    window: Window,
+    window: ViewWindow,
     *,
     edge: Any,
     zorder: float,

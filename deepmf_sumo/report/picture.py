@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
 from deepmf_sumo.judge.hits import conflict_of
-from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.scene import (
@@ -93,7 +93,7 @@ def _explained(rollout: Rollout) -> Plan | None:
     return next((plan for plan in rollout.plans if plan.reason), None)
 
 
-def _window(rollout: Rollout, plan: Plan | None, contact: Contact | None) -> Window:
+def _window(rollout: Rollout, plan: Plan | None, contact: Contact | None) -> ViewWindow:
     """A square around what the AV and the opponent did."""
     tracks = rollout.tracks
     chosen = [agent for agent in (rollout.av_id, rollout.opponent_id) if agent in tracks.ids]
@@ -135,7 +135,9 @@ def _positions(rollout: Rollout, agent: str) -> Floats:
     return positions
 
 
-def _others(axes: Axes, rollout: Rollout, scores: OpponentScores | None, window: Window) -> None:
+def _others(
+    axes: Axes, rollout: Rollout, scores: OpponentScores | None, window: ViewWindow
+) -> None:
     """Everyone else as the simulation took over, coloured by score; thin lines where they went."""
     tracks = rollout.tracks
     main = {rollout.av_id, rollout.opponent_id}
@@ -187,7 +189,7 @@ def _reasoning(axes: Axes, plan: Plan) -> None:
     axes.plot(*chosen.T, color=OPPONENT, lw=2.6, ls=(0, (4, 1.5)), zorder=5)
 
 
-def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: Window) -> None:
+def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: ViewWindow) -> None:
     """The path, a box a second, and the first and last box in full colour."""
     tracks = rollout.tracks
     row = tracks.row(agent)
@@ -206,7 +208,7 @@ def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: Window
         axes.plot(x, y, markersize=15, markeredgewidth=0.7, zorder=9, **star)  # type: ignore[arg-type]
 
 
-def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: Window) -> None:
+def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: ViewWindow) -> None:
     """A cross between the two, and the outlines of both at that moment."""
     rows = [rollout.tracks.row(agent) for agent in (contact.first_id, contact.second_id)]
     there = [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]]
@@ -249,7 +251,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _finish(axes: Axes, window: Window, title: str, *, north: bool) -> None:
+def _finish(axes: Axes, window: ViewWindow, title: str, *, north: bool) -> None:
     """Frame, title and scale; in networks up is north."""
     x0, x1, y0, y1 = window.x0, window.x1, window.y0, window.y1
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])

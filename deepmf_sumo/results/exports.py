@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, get_args
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import OutputError, RunError, UsageError
-from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, Surroundings, signals_of
+from deepmf_sumo.exporters.base import Exportable, Exporter, NetFiles, RunRoad, signals_of
 from deepmf_sumo.results import result, stored, tracks
 from deepmf_sumo.results.findings import said
 from deepmf_sumo.results.reader import Results, Run
@@ -212,16 +212,16 @@ def exportable(run: Run) -> Exportable:
     )
 
 
-def _around(run: Run) -> Surroundings:
+def _around(run: Run) -> RunRoad:
     road, lost = run.road()
     scene = None if lost else run.recording()
     if scene is not None:
         source = replace(scene.source, dataset=ROLLOUT)
-        return Surroundings(road=road, source=source, signals=scene.signals)
+        return RunRoad(road=road, source=source, signals=scene.signals)
     named = run.source.get("recording") or run.source.get("network") or run.result["network"]
     source = Source(dataset=ROLLOUT, file=str(named), record=0, sha256="")
     signals = None if lost else signals_of(run.rollout, road)
-    return Surroundings(road=road, source=source, signals=signals, lost=lost)
+    return RunRoad(road=road, source=source, signals=signals, lost=lost)
 
 
 def _net(run: Run) -> NetFiles:

@@ -528,7 +528,7 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
     try:
         changes = naturalness.samples(rollout, case, smooth=True)
     except NotMeasurable:
-        changes = naturalness.Samples(np.empty(0), np.empty(0))
+        changes = naturalness.AccelerationSamples(np.empty(0), np.empty(0))
     return {
         "opponent_m": np.round(frames.to_local(path, origin, float(heading)), 2).tolist(),
         "attack_mps2": np.round(changes.attack, 3).tolist(),

@@ -15,7 +15,12 @@ import numpy as np
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import DeepmfError, OutputError, SimulationError, UsageError
 from deepmf_sumo.exporters import ssam
-from deepmf_sumo.judge.metrics.traffic_conflicts import Limits, SsamType, TrafficConflict, find
+from deepmf_sumo.judge.metrics.traffic_conflicts import (
+    ConflictLimits,
+    SsamType,
+    TrafficConflict,
+    find,
+)
 from deepmf_sumo.roadcheck.motion_survey import Survey, Surveyed, survey
 from deepmf_sumo.study.sweep import workers
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
@@ -91,7 +96,7 @@ class Observation:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Task:
     wanted: Survey
-    limits: Limits
+    limits: ConflictLimits
     answer: Path
     trajectories: Path | None
 
@@ -112,7 +117,9 @@ def check(wanted: Survey) -> None:
         )
 
 
-def observe(wanted: Survey, limits: Limits, trajectories: Path | None = None) -> Observation:
+def observe(
+    wanted: Survey, limits: ConflictLimits, trajectories: Path | None = None
+) -> Observation:
     """Simulate the configuration once, and find its conflicts.
 
     ``trajectories``: a folder for `TRAJECTORIES` and `ROAD_USERS`.
@@ -176,7 +183,7 @@ def write_trajectories(seen: Surveyed, folder: Path) -> None:
         files.write(folder / ROAD_USERS, tables.to_csv(rows))
 
 
-def observation(seen: Surveyed, limits: Limits) -> Observation:
+def observation(seen: Surveyed, limits: ConflictLimits) -> Observation:
     """The conflicts of what was surveyed."""
     motions = seen.motions
     found = find(motions, limits)

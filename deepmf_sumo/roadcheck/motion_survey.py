@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.judge.metrics.traffic_conflicts import Motions
+from deepmf_sumo.judge.metrics.traffic_conflicts import RoadUserMotions
 from deepmf_sumo.scene import DT_S, AgentId, agent_ids
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.sumo.network.sumo_net import edge_of
@@ -62,7 +62,7 @@ class Surveyed:
     names: tuple[str, ...]
     types: tuple[str, ...]
     lanes: tuple[str, ...]
-    motions: Motions
+    motions: RoadUserMotions
     warnings: tuple[str, ...] = ()
 
 
@@ -78,7 +78,7 @@ def survey(wanted: Survey) -> Surveyed:
     with begun(Traffic(configuration=configuration, seed=wanted.seed), warned=warned) as api:
         if wanted.from_s is not None and wanted.from_s > api.simulation.getTime() + DT_S / 2:
             api.simulationStep(wanted.from_s)
-        notes = _Notes(api)
+        notes = _Sighted(api)
         begin = now = float(api.simulation.getTime())
         complete, step = False, 0
         while now + DT_S <= until + DT_S / 2 and not complete:
@@ -100,7 +100,7 @@ def survey(wanted: Survey) -> Surveyed:
 
 
 @dataclass
-class _Notes:
+class _Sighted:
     """Columns that grow; constants are asked for once."""
 
     api: SumoApi
@@ -160,7 +160,7 @@ class _Notes:
             names=names,
             types=tuple(self.types),
             lanes=tuple(self.lanes),
-            motions=Motions(
+            motions=RoadUserMotions(
                 dt_s=DT_S,
                 size_m=size_m,
                 step=rows[:, 0],

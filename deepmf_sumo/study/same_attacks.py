@@ -116,7 +116,7 @@ def _planner(side: Results, run: Run) -> Plugin:
     return specs[0].planner
 
 
-def _task(failure: shrink.Failure, planner: Plugin, name: str) -> Task:
+def _task(failure: shrink.RecordedHit, planner: Plugin, name: str) -> Task:
     """The run again with a planner, the opponent on the path that it drove."""
     last = failure.contact + AFTER_STEPS
     candidate = Candidate(last=last, contact=failure.contact, only=None, plans=len(failure.plans))

@@ -18,7 +18,7 @@ from deepmf_sumo.training.samples.feature_cache import Data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class TrainingRequest:
     """What the command line asks for.
 
     Attributes:
@@ -41,7 +41,7 @@ class Request:
     command: str = ""
 
 
-def train_requested(request: Request, report: Progress) -> None:
+def train_requested(request: TrainingRequest, report: Progress) -> None:
     """Train the networks of a request.
 
     Raises UsageError without data, SpecError for a wrong configuration, and WeightsError if the
@@ -84,7 +84,7 @@ def _networks(name: str) -> list[Network]:
 
 
 def _training(
-    network: Network, request: Request, settings: Config, data: Sequence[Data]
+    network: Network, request: TrainingRequest, settings: Config, data: Sequence[Data]
 ) -> Training:
     return Training(
         data=data,
@@ -103,7 +103,7 @@ def _training(
     )
 
 
-def _sources(request: Request, settings: Config) -> list[Data]:
+def _sources(request: TrainingRequest, settings: Config) -> list[Data]:
     sources = [config.parsed(text) for text in request.data] or settings.sources()
     if not sources:
         raise UsageError("No data to train on; give --data, or a --config with 'data'.")

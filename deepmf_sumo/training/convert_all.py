@@ -23,7 +23,7 @@ _AHEAD: Final = 2
 """Scenes read ahead per worker: enough to keep it busy, few enough for the memory."""
 
 
-class Refused(Protocol):
+class RefusedRecord(Protocol):
     """A record that its reader rejected."""
 
     @property
@@ -38,7 +38,7 @@ class Refused(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class ConvertedScene:
     """One scene of the table; figures are None if there is no net."""
 
     scene: str
@@ -58,7 +58,9 @@ class Row:
     folder: str = ""
 
 
-def convert_all(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[Row]:
+def convert_all(
+    scenes: Iterable[Scene | RefusedRecord], out: Path, jobs: int
+) -> Iterator[ConvertedScene]:
     """Convert scenes into folders of ``out``; rows in the order of the scenes.
 
     A scene that fails is a row with the reason; the others continue. The table ``convert.csv`` is
@@ -74,7 +76,7 @@ def convert_all(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iter
     with files.writing(out):
         out.mkdir(parents=True, exist_ok=True)
         files.write(out / TABLE, "")  # a folder that cannot be written shows now
-    names = [field.name for field in fields(Row)]
+    names = [field.name for field in fields(ConvertedScene)]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(names)
@@ -96,7 +98,9 @@ def _cell(value: object) -> object:
     return f"{value:.4f}" if isinstance(value, float) else value
 
 
-def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[Row]:
+def _rows(
+    scenes: Iterable[Scene | RefusedRecord], out: Path, jobs: int
+) -> Iterator[ConvertedScene]:
     folders = _named(scenes, out)
     if jobs == 1:
         for scene, folder in folders:
@@ -105,7 +109,7 @@ def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[R
     # Spawned, not forked: the parent may run threads.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
-        waiting: deque[tuple[str, Future[Row] | Row]] = deque()
+        waiting: deque[tuple[str, Future[ConvertedScene] | ConvertedScene]] = deque()
         for scene, folder in folders:
             if isinstance(scene, Scene):
                 waiting.append((scene.name, pool.submit(_row, scene, folder)))
@@ -117,7 +121,9 @@ def _rows(scenes: Iterable[Scene | Refused], out: Path, jobs: int) -> Iterator[R
             yield _result(*waiting.popleft())
 
 
-def _named(scenes: Iterable[Scene | Refused], out: Path) -> Iterator[tuple[Scene | Refused, Path]]:
+def _named(
+    scenes: Iterable[Scene | RefusedRecord], out: Path
+) -> Iterator[tuple[Scene | RefusedRecord, Path]]:
     """Each scene with its folder; scenes with the same name get numbers."""
     count: Counter[str] = Counter()
     used: set[str] = set()
@@ -133,31 +139,31 @@ def _named(scenes: Iterable[Scene | Refused], out: Path) -> Iterator[tuple[Scene
         yield scene, out / folder
 
 
-def _result(name: str, result: Future[Row] | Row) -> Row:
-    if isinstance(result, Row):
+def _result(name: str, result: Future[ConvertedScene] | ConvertedScene) -> ConvertedScene:
+    if isinstance(result, ConvertedScene):
         return result
     try:
         return result.result()
     except BrokenProcessPool:
-        return Row(scene=name, status="failed", reason="the worker process died")
+        return ConvertedScene(scene=name, status="failed", reason="the worker process died")
 
 
-def _refusal(refused: Refused) -> Row:
-    return Row(scene=refused.name, status="failed", reason=refused.reason)
+def _refusal(refused: RefusedRecord) -> ConvertedScene:
+    return ConvertedScene(scene=refused.name, status="failed", reason=refused.reason)
 
 
-def _row(scene: Scene, folder: Path) -> Row:
+def _row(scene: Scene, folder: Path) -> ConvertedScene:
     """Convert one scene."""
     try:
         net = convert(scene, folder)
     except DeepmfError as error:
-        return Row(scene=scene.name, status="failed", reason=str(error))
+        return ConvertedScene(scene=scene.name, status="failed", reason=str(error))
     except Exception as error:  # noqa: BLE001 (our own mistake must not end the batch)
         reason = f"unexpected {type(error).__name__}: {error}"
-        return Row(scene=scene.name, status="failed", reason=reason)
+        return ConvertedScene(scene=scene.name, status="failed", reason=reason)
     report = net.report
     assert report is not None
-    return Row(
+    return ConvertedScene(
         scene=scene.name,
         status="ok",
         lanes=report.lanes,

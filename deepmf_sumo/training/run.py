@@ -23,8 +23,8 @@ from deepmf_sumo.errors import OutputError, RunError, WeightsError
 from deepmf_sumo.training import cards, initial_weights
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
-from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
-from deepmf_sumo.training.fit.loop import Loss, Outcome, Schedule
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, LearningCurves
+from deepmf_sumo.training.fit.loop import Loss, Schedule, TrainingOutcome
 from deepmf_sumo.training.networks import clusters, diffscene, opponent, strive, trajectory
 from deepmf_sumo.training.samples import feature_cache, graph
 from deepmf_sumo.training.samples import opponent as opponent_samples
@@ -97,7 +97,7 @@ def train(network: Network, training: Training, report: Progress, member: int = 
     net, dataset = _prepared(network, training, initial, report)
     checkpoints = Checkpoints(training.folder / f"{stem}-{digest[:12]}.checkpoint")
     file = training.folder / "curves" / f"{stem}.csv"
-    curves = Curves(file, [source.name for source in dataset.sources], report)
+    curves = LearningCurves(file, [source.name for source in dataset.sources], report)
     outcome = loop.train(net, dataset, _loss(net), schedule, checkpoints, curves, report)
     card = {
         **_card(network, net, training, dataset, schedule, outcome),
@@ -247,7 +247,7 @@ def _card(
     training: Training,
     dataset: Dataset,
     schedule: Schedule,
-    outcome: Outcome,
+    outcome: TrainingOutcome,
 ) -> dict[str, Any]:
     return {
         "network": network,
@@ -274,7 +274,7 @@ def _card(
     }
 
 
-def _sources(dataset: Dataset, outcome: Outcome) -> list[dict[str, Any]]:
+def _sources(dataset: Dataset, outcome: TrainingOutcome) -> list[dict[str, Any]]:
     return [
         {
             "name": source.name,

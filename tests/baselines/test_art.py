@@ -15,7 +15,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.attacks import _episodes as episodes
 from deepmf_sumo.baselines import _art_descent as art_descent
 from deepmf_sumo.baselines import _art_history as art_history
-from deepmf_sumo.baselines._art_descent import Bounds
+from deepmf_sumo.baselines._art_descent import PerturbationBounds
 from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import LIGHT, changed
 from deepmf_sumo.deepmf.networks.densetnt import as_batch
@@ -27,7 +27,7 @@ from tests.support.driven_world import NOW, World, driven_limits
 from tests.support.predictor_doubles import view_of
 from tests.support.rollout_doubles import case_of
 
-BOUNDS = Bounds(reach_m=1.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
+BOUNDS = PerturbationBounds(reach_m=1.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
 SMALL = changed(LIGHT, "small", {"raster": False, "hidden": 16, "profiles": 7, "dropout": 0.0})
 FOREVER = np.inf
 
@@ -108,10 +108,10 @@ class TestDescent:
     @pytest.mark.parametrize(
         "bounds",
         [
-            Bounds(reach_m=2.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0),
-            Bounds(reach_m=50.0, speed_mps=11.0, accel_mps2=4.0, jerk_mps3=20.0),
-            Bounds(reach_m=50.0, speed_mps=30.0, accel_mps2=1.0, jerk_mps3=20.0),
-            Bounds(reach_m=50.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=0.5),
+            PerturbationBounds(reach_m=2.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0),
+            PerturbationBounds(reach_m=50.0, speed_mps=11.0, accel_mps2=4.0, jerk_mps3=20.0),
+            PerturbationBounds(reach_m=50.0, speed_mps=30.0, accel_mps2=1.0, jerk_mps3=20.0),
+            PerturbationBounds(reach_m=50.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=0.5),
         ],
         ids=["reach", "speed", "acceleration", "jerk"],
     )
@@ -140,7 +140,7 @@ class TestDescent:
 
     def test_it_finds_a_minimum_within_the_bounds(self):
         wanted = torch.tensor([1.5, -1.0])
-        bounds = Bounds(reach_m=10.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
+        bounds = PerturbationBounds(reach_m=10.0, speed_mps=30.0, accel_mps2=4.0, jerk_mps3=20.0)
         found = self.descend(lambda offset: (offset[:, -1] - wanted).square().sum(-1), bounds)
         np.testing.assert_allclose(found.offset_m[:, -1], [[1.5, -1.0]] * 2, atol=0.05)
 
@@ -159,7 +159,7 @@ class TestDescent:
             sign = -1.0 if len(calls) <= 10 else 1.0
             return sign * offset[:, -1].sum(-1) + (0.0 if len(calls) <= 10 else 100.0)
 
-        wide = Bounds(reach_m=99.0, speed_mps=99.0, accel_mps2=99.0, jerk_mps3=99.0)
+        wide = PerturbationBounds(reach_m=99.0, speed_mps=99.0, accel_mps2=99.0, jerk_mps3=99.0)
         found = self.descend(loss, wide)
         assert found.iterations == 30
         np.testing.assert_allclose(found.offset_m, calls[9].numpy(), atol=1e-5)
@@ -179,7 +179,7 @@ class TestHistory:
         valid = view.history.valid.copy()
         valid[1, :missing] = False
         view = replace(view, history=replace(view.history, valid=valid))
-        past = art_history.Past(view, "b", predictors.marginal.net)
+        past = art_history.PerturbedPast(view, "b", predictors.marginal.net)
         offset = past.basis @ np.array([[0.3, -0.2], [0.6, 0.5]])
         batch = past.batch(torch.from_numpy(offset.astype(np.float32))[None])
         expected = as_batch(features(past.view(offset), "b", SMALL)[0])
@@ -191,7 +191,7 @@ class TestHistory:
 
     def test_the_present_stays(self, predictors):
         view = turning_view()
-        past = art_history.Past(view, "b", predictors.marginal.net)
+        past = art_history.PerturbedPast(view, "b", predictors.marginal.net)
         moved = past.view(past.basis @ np.array([[0.3, -0.2], [0.6, 0.5]])).history
         for name in ("position_m", "velocity_mps", "heading_rad"):
             before, after = getattr(view.history, name), getattr(moved, name)
@@ -208,9 +208,9 @@ class TestHistory:
         )  # fmt: skip
         view = turning_view()
         net = distinct(torch_networks.random(SMALL, seed=3)).marginal.net.double()
-        past = art_history.Past(view, "b", net)
+        past = art_history.PerturbedPast(view, "b", net)
         av = np.stack([0.9 * np.arange(1, 81), np.zeros(80)], -1)
-        meeting = art_history.Meeting(view, "b", av, np.ones(80, dtype=bool))
+        meeting = art_history.GoalMeeting(view, "b", av, np.ones(80, dtype=bool))
         basis = torch.from_numpy(past.basis)
 
         def loss(points):
@@ -235,8 +235,8 @@ class TestHistory:
         found = art_history.perturb(
             view, "b", net, av, there, BOUNDS, 2, 8, FOREVER, np.random.default_rng(0)
         )
-        meeting = art_history.Meeting(view, "b", av, there)
-        past = art_history.Past(view, "b", net)
+        meeting = art_history.GoalMeeting(view, "b", av, there)
+        past = art_history.PerturbedPast(view, "b", net)
         offsets = np.concatenate([np.zeros((1, 11, 2)), found.offset_m])
         with torch.no_grad():
             loss = meeting.loss(net(past.batch(torch.from_numpy(offsets.astype(np.float32)))))
@@ -313,7 +313,7 @@ class TestFuture:
 
     def test_gradients_of_standing_boxes_are_finite(self):
         position = np.zeros((80, 2))
-        target = art_descent.Target(
+        target = art_descent.ArtTarget(
             position_m=position, heading_rad=np.zeros(80), there=np.arange(80) < 0,
             av_size_m=np.array([4.8, 2.0]), own_size_m=np.array([4.8, 2.0]),
         )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks._episodes import Motion
+from deepmf_sumo.attacks._episodes import AgentMotion
 from deepmf_sumo.baselines._open_loop import Answers, flattened, score
 from deepmf_sumo.deepmf.networks import weights
 from deepmf_sumo.scene import Budget, Futures
@@ -32,7 +32,7 @@ def attack(world, values=None, budget=None):
 
 
 def motion(speed, y=0.0, valid=80):
-    return Motion(
+    return AgentMotion(
         position_m=np.stack([0.1 * speed * STEPS, np.full(80, y)], -1),
         heading_rad=np.zeros(80),
         speed_mps=np.full(80, speed),

@@ -24,7 +24,7 @@ from tests.support.rollout_doubles import case_of
 from tests.support.simulated_worlds import LANE_M, scene_of, straight_motion, straight_road
 from tests.support.simulated_worlds import case_of as recorded_case
 
-TERMS = guidance.Terms(
+TERMS = guidance.GuidanceTerms(
     off_road=4.0, others=40.0, hardness=1.0, accel_mps2=4.0, brake_mps2=7.0, lateral_mps2=4.5
 )
 

@@ -14,11 +14,11 @@ from deepmf_sumo.scene import Budget
 from tests.support.driven_world import World, driven_limits
 from tests.support.rollout_doubles import case_of
 
-BOUNDS = descent.Bounds(
+BOUNDS = descent.OpponentBounds(
     accel_change_mps2=8.0, curvature_change_per_m=0.1, accel_mps2=4.0, brake_mps2=7.0,
     lateral_mps2=4.5,
 )  # fmt: skip
-TERMS = descent.Terms(off_road=1.0, others=1.0)
+TERMS = descent.CostTerms(off_road=1.0, others=1.0)
 STEPS = 40
 
 
@@ -31,7 +31,7 @@ def attack(world, values=None, budget=None):
 def opponent(accel=0.0, curvature=0.0, **more):
     values = {"position_m": np.zeros(2), "heading_rad": 0.0, "speed_mps": 10.0,
               "size_m": np.array([4.8, 2.0]), **more}  # fmt: skip
-    return descent.Opponent(
+    return descent.KingOpponent(
         accel_mps2=np.full(STEPS, accel), curvature_per_m=np.full(STEPS, curvature), **values
     )
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.attacks._episodes import Motion, Scouted
+from deepmf_sumo.attacks._episodes import AgentMotion, Scouted
 from deepmf_sumo.baselines._controls import Bicycle, Knots
 from deepmf_sumo.baselines._search import SearchSettings, Weights, cost_of
 from deepmf_sumo.judge.metrics.driving import feasible
@@ -22,7 +22,7 @@ def motion_of(poses, valid=None, measured=None):
     """Motion after now of (91, 3) poses, or what is measured of it."""
     after = (poses if measured is None else measured)[11:]
     moved = np.diff(poses[10:, :2], axis=0)
-    return Motion(
+    return AgentMotion(
         position_m=after[:, :2],
         heading_rad=after[:, 2],
         speed_mps=np.hypot(*moved.T) / 0.1,

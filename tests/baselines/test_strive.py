@@ -11,7 +11,7 @@ from deepmf_sumo.attacks import _episodes as episodes
 from deepmf_sumo.attacks._episodes import scout
 from deepmf_sumo.baselines import _strive, strive
 from deepmf_sumo.baselines._scene_graph import Path, situation_of
-from deepmf_sumo.baselines._strive import Costs, Search, plan_of
+from deepmf_sumo.baselines._strive import Costs, LatentSearch, plan_of
 from deepmf_sumo.baselines.priors import reading
 from deepmf_sumo.baselines.priors.strive import MotionPrior
 from deepmf_sumo.deepmf.networks import weights as weights_module
@@ -75,7 +75,7 @@ def search_of(net, scouted, seconds=60.0):
     import time
 
     situation = situation_of(scouted, ("b",))
-    return situation, Search(net, situation, ["b"], WEIGHTS, time.perf_counter() + seconds)
+    return situation, LatentSearch(net, situation, ["b"], WEIGHTS, time.perf_counter() + seconds)
 
 
 def test_the_situation_is_in_the_frame_of_the_av(net, scouted):

@@ -44,7 +44,7 @@ def main() -> None:
 
 def seconds_a_run(planned: list[Task], runs: Path) -> float:
     """After a first one, which loads what all need."""
-    work = episode.Episode(runs=runs, cache=runs.parent / "cache")
+    work = episode.TaskRunner(runs=runs, cache=runs.parent / "cache")
     work(planned[0])
     begin = spent()
     for task in planned:

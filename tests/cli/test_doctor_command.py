@@ -6,7 +6,7 @@ from importlib import metadata
 import pytest
 
 from deepmf_sumo.cli import doctor, main
-from deepmf_sumo.cli.doctor import Finding
+from deepmf_sumo.cli.doctor import CheckResult
 
 
 def test_a_probe_that_dies_is_a_finding():
@@ -29,7 +29,7 @@ def test_a_check_that_fails_itself_is_a_finding():
     def check():
         raise KeyError("oops")
 
-    assert doctor.look(check) == Finding("broken", "KeyError: 'oops'")
+    assert doctor.look(check) == CheckResult("broken", "KeyError: 'oops'")
 
 
 def test_sumo_packages_of_two_versions(monkeypatch):
@@ -69,7 +69,7 @@ def test_display(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     assert doctor.sumo_gui().state == "warning"
     monkeypatch.setenv("DISPLAY", ":7")
-    assert doctor.sumo_gui() == Finding("ok", "starts, display :7")
+    assert doctor.sumo_gui() == CheckResult("ok", "starts, display :7")
 
 
 def _done(command, **_):
@@ -153,7 +153,7 @@ def test_other_weights_are_named(monkeypatch, tmp_path):
 
 
 def test_the_command_goes_on_after_a_broken_line(monkeypatch, capsys):
-    fine = Finding("ok", "fine")
+    fine = CheckResult("ok", "fine")
     for name in ("libsumo", "netconvert", "sumo_gui", "networks", "libraries"):
         monkeypatch.setattr(doctor, name, lambda: fine)
     monkeypatch.setattr(doctor, "weights_of_set", lambda name: fine)

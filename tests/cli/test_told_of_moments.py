@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from deepmf_sumo.cli import _moments as told
-from deepmf_sumo.study.moments import Found
-from deepmf_sumo.study.moments.moment import Flow, Wish
+from deepmf_sumo.study.moments import FoundMoments
+from deepmf_sumo.study.moments.moment import Flow, WantedMoments
 
 
 def run(ttc_s=None, outcome="none", status="ok", opponent="foe"):
@@ -19,11 +19,11 @@ def looked(where="", near=(3, 8)):
         Flow(edge=f"e{at}", following="", vehicles=9, near=many) for at, many in enumerate(near)
     ]
     flows.append(Flow(edge="e0", following="e1", vehicles=20, near=20))
-    found = Found(
+    found = FoundMoments(
         moments=(), suitable=1, vehicles=2, begin_s=0.0, until_s=9.0, complete=True,
         flows=tuple(flows),
     )  # fmt: skip
-    return [(SimpleNamespace(wish=Wish(count=10, where=where)), found)]
+    return [(SimpleNamespace(wish=WantedMoments(count=10, where=where)), found)]
 
 
 def test_ten_attacks_without_a_conflict_say_so_and_what_may_find_one():

@@ -6,12 +6,12 @@ import pytest
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits, Start, Tracked, track
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start, Tracked, track
 from deepmf_sumo.scene import Forecast, Futures, Plan
 
 from tests.support.predictor_doubles import FanPredictor, view_of
 
-LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+LIMITS = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def goals(view, count, own=None):

@@ -10,7 +10,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.settings import LIMITS
-from deepmf_sumo.deepmf.situation import Others, Situation
+from deepmf_sumo.deepmf.situation import OtherAgents, Situation
 from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.one_attacker import plan_of
@@ -125,11 +125,11 @@ def test_a_vehicle_that_drives_off_the_lanes_may_come_onto_them():
 
 def test_others_drive_on_or_as_in_an_earlier_episode():
     view = view_of(AGENTS | {"c": (30, 3.5, 0, 9.0)})
-    on = Others.of(view, {"av", "b"}, None)
+    on = OtherAgents.of(view, {"av", "b"}, None)
     np.testing.assert_allclose(on.position_m[0, 9], [39.0, 3.5])
     stops = straight(30, 3.5, 9, accel=-3)[:41]
     paths = {"av": straight(0, 0, 10)[:41], "b": straight(-8, 3.5, 12)[:41], "c": stops}
-    seen = Others.of(view, {"av", "b"}, rollout_of(paths))
+    seen = OtherAgents.of(view, {"av", "b"}, rollout_of(paths))
     np.testing.assert_allclose(seen.position_m[0, :30], stops[11:, :2])
     assert seen.valid.all()
 

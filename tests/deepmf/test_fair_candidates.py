@@ -7,9 +7,9 @@ import pytest
 
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits
-from deepmf_sumo.judge.avoidability.av_path import State
-from deepmf_sumo.judge.avoidability.grading import Past, avoidable
+from deepmf_sumo.deepmf.tracking import MotionLimits
+from deepmf_sumo.judge.avoidability.av_path import VehicleState
+from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
 from deepmf_sumo.scene import Forecast, Futures
 
 from tests.support.predictor_doubles import STEPS, view_of
@@ -28,7 +28,7 @@ def forecast(futures):
 
 
 def fair(view, futures, av):
-    limits = Limits(accel=3.0, brake=4.0, lateral=3.0)
+    limits = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
     return constraints.fair_candidates(Situation.of(view, "b", limits), futures, av)
 
 
@@ -55,14 +55,14 @@ def test_a_driver_that_took_over_when_the_attack_began_has_had_time():
     """A car stands 15 m ahead of the AV at 10 m/s: too late now, but not 2 s ago."""
     steps = np.arange(1, 81)
     standing = np.zeros((1, 80, 2)), np.zeros((1, 80))
-    av, car = State(np.array([-15.0, 0.0]), 0.0, 10.0), State(np.zeros(2), 0.0, 0.0)
+    av, car = VehicleState(np.array([-15.0, 0.0]), 0.0, 10.0), VehicleState(np.zeros(2), 0.0, 0.0)
     size = np.array([4.8, 2.0])
     ahead = np.stack([-15.0 + steps * 1.0, np.zeros(80)], -1)
     known = av, size, ahead, car, size, *standing, 0.1
     assert not avoidable(*known)[0]
     before = np.arange(20) - 20.0
     driven = np.stack([-15.0 + before, np.zeros(20), np.zeros(20)], -1)
-    assert avoidable(*known, past=Past(driven, np.zeros((20, 3))))[0]
+    assert avoidable(*known, past=PastPoses(driven, np.zeros((20, 3))))[0]
 
 
 def test_a_driver_may_not_react_before_the_attack_shows():
@@ -72,8 +72,8 @@ def test_a_driver_may_not_react_before_the_attack_shows():
     speeds = np.concatenate([np.full(20, 15.0), np.maximum(15.0 - 9.0 * STEPS[:60], 0.0)])
     late = straight("b", 12, 0, speeds)
     likeliest = straight("b", 12, 0, np.full(80, 15.0))
-    situation = Situation.of(view, "b", Limits(accel=3.0, brake=4.0, lateral=3.0))
-    driven = constraints.Driven()
+    situation = Situation.of(view, "b", MotionLimits(accel=3.0, brake=4.0, lateral=3.0))
+    driven = constraints.EpisodeHistory()
     driven.note(situation, candidates_of(likeliest))
     assert constraints.fair_candidates(situation, late, av)[0]
     assert not constraints.fair_candidates(situation, late, av, driven)[0]
@@ -91,7 +91,7 @@ def test_what_was_driven_since_the_first_plan_is_kept(steps):
         view = view_of({"av": (x, 0, 0, 10.0), "b": (x / 2, 3.5, 0, 5.0)}, step=step)
         return SimpleNamespace(view=view, opponent_id="b")
 
-    driven = constraints.Driven()
+    driven = constraints.EpisodeHistory()
     own = candidates_of(straight("b", 0, 3.5, np.full(80, 5.0)))
     driven.note(situation(10), own)
     assert len(driven.past.av) == 0

@@ -8,14 +8,14 @@ import pytest
 from deepmf_sumo.deepmf.candidates import Candidates
 from deepmf_sumo.deepmf.reference_paths import own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.scene import Forecast, Futures, Lane, Neighbour, RoadMap, SignalState, StopSign
 
 from tests.support.predictor_doubles import view_of
 
 SECONDS = np.arange(1, 81) * 0.1
-LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+LIMITS = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def lane(name, points, **more):

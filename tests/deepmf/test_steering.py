@@ -15,7 +15,7 @@ from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.reference_paths import aimed_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits, Start, track
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start, track
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.scene.geometry import impact
 
@@ -24,7 +24,7 @@ from tests.support.predictor_doubles import Doubles, FanPredictor, view_of
 
 AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np.pi / 2, 9.0)}
 CAR = np.array([4.8, 2.0])
-LIMITS = Limits(accel=3.0, brake=4.0, lateral=3.0)
+LIMITS = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def policy(**values):

@@ -3,13 +3,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.deepmf.tracking import Limits, Start, joined, track
+from deepmf_sumo.deepmf.tracking import MotionLimits, Start, joined, track
 from deepmf_sumo.scene import DT_S
 from deepmf_sumo.scene.geometry import frames
 
 from tests.support.predictor_doubles import STEPS, fan, view_of
 
-DEFAULT = Limits(accel=3.0, brake=4.0, lateral=3.0)
+DEFAULT = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def start(speed=10.0, heading=0.0, course=None):
@@ -55,7 +55,7 @@ def test_limits_hold_whatever_the_reference(speed, heading, slip, seed, limits):
     rng = np.random.default_rng(seed)
     wild = rng.normal(scale=rng.uniform(0, 3), size=(6, 80, 2)).cumsum(1)
     begin = start(speed, heading, heading + slip)
-    bounds = Limits(accel=limits[0], brake=limits[1], lateral=limits[2])
+    bounds = MotionLimits(accel=limits[0], brake=limits[1], lateral=limits[2])
     tracked = track(begin.position_m + wild, begin, bounds.rows(6))
     along, turn, length = accelerations(tracked, begin)
     assert np.isfinite(tracked.position_m).all()
@@ -170,6 +170,8 @@ def test_join_fades_out():
 
 
 def test_mild_limits_are_calm_and_never_above_the_full_ones():
-    assert Limits(accel=8, brake=8, lateral=5).mild() == Limits(accel=3.0, brake=4.0, lateral=2.5)
+    assert MotionLimits(accel=8, brake=8, lateral=5).mild() == MotionLimits(
+        accel=3.0, brake=4.0, lateral=2.5
+    )
     mild = DEFAULT.mild()
     assert (mild.accel, mild.brake, mild.lateral) == pytest.approx((2.1, 2.8, 2.1))

@@ -9,7 +9,7 @@ from deepmf_sumo.deepmf.candidates import against_traffic
 from deepmf_sumo.deepmf.constraints import WithTraffic
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import Limits
+from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.scene import Forecast, Futures, Lane, RoadMap, Tracks, View
 
 EAST_Y, WEST_Y = 0.0, 3.5
@@ -51,7 +51,7 @@ def situation(wrong_before, step=10):
     view = View(
         step=step, dt_s=0.1, av_id="av", history=history, road=ROAD, signals={}, steps_left=80
     )
-    return Situation.of(view, "b", Limits(accel=3.5, brake=5.0, lateral=3.5))
+    return Situation.of(view, "b", MotionLimits(accel=3.5, brake=5.0, lateral=3.5))
 
 
 def candidates(*wrong_ahead):

@@ -27,7 +27,7 @@ from matplotlib.patches import Patch, Rectangle
 from PIL import Image
 
 import deepmf_sumo
-from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures.episode import met_at, window_of
 from deepmf_sumo.report.palette import (
     AV,
@@ -104,14 +104,14 @@ def title(figure: Figure, words: str) -> None:
     figure.text(0.5, 0.965, words, ha="center", va="center", fontsize=13)
 
 
-def ground(axes: Axes, road: RoadMap, window: Window, inches: float) -> None:
+def ground(axes: Axes, road: RoadMap, window: ViewWindow, inches: float) -> None:
     """The roads that the window shows."""
     draw_road(axes, road, window, inches)
     axes.set(xlim=(window.x0, window.x1), ylim=(window.y0, window.y1), aspect="equal")
     axes.set(xticks=[], yticks=[])
 
 
-def signs(axes: Axes, window: Window) -> None:
+def signs(axes: Axes, window: ViewWindow) -> None:
     """A scale, and an arrow to the north."""
     unit, left, bottom = window.side_m / 100, window.x0, window.y0
     x, y = left + 3 * unit, bottom + 3 * unit
@@ -157,7 +157,7 @@ def intentions(axes: Axes, plans: Plans, step: int) -> None:
     axes.plot(*chosen, color=OPPONENT, lw=2.4, ls=(0, (4, 1.5)), zorder=5)
 
 
-def vehicles(axes: Axes, run: Run, window: Window, step: int) -> None:
+def vehicles(axes: Axes, run: Run, window: ViewWindow, step: int) -> None:
     """All vehicles at a step, and what AV and opponent have driven."""
     rollout, tracks = run.rollout, run.rollout.tracks
     colours = {tracks.row(rollout.av_id): AV, tracks.row(rollout.opponent_id): OPPONENT}
@@ -227,7 +227,7 @@ def risk_map(results: Results, path: Path) -> None:
     there = np.concatenate([shape for name, (_, shape) in found.items() if name.startswith(names)])
     begin, end = there.min(axis=0), there.max(axis=0)
     side_m = min(float((end - begin).max()) + MARGIN_M, NEAR_M)
-    near, whole = square((begin + end) / 2, side_m), Window(x0=x0, x1=x1, y0=y0, y1=y1)
+    near, whole = square((begin + end) / 2, side_m), ViewWindow(x0=x0, x1=x1, y0=y0, y1=y1)
     figure, high = canvas(SIDE_IN, SIDE_IN + TITLE_IN), SIDE_IN + TITLE_IN
     axes = figure.add_axes((0, 0, 1, SIDE_IN / high))
     inset = figure.add_axes(

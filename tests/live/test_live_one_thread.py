@@ -43,5 +43,5 @@ def test_choice_and_plans_are_made_with_one_thread():
 
 
 def test_live_attacks_have_such_a_policy():
-    spec = attacker.spec_of(attacker.Wish(avs=("ego",)))
+    spec = attacker.spec_of(attacker.AttackRequest(avs=("ego",)))
     assert isinstance(attacker.policy_of(spec), OneThread)

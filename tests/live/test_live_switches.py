@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.live.attacker import Wish, spec_of
-from deepmf_sumo.live.record import Record
+from deepmf_sumo.live.attacker import AttackRequest, spec_of
+from deepmf_sumo.live.record import SessionRecord
 from deepmf_sumo.live.session import Session
 from deepmf_sumo.live.status import StatusServer
 
@@ -21,7 +21,7 @@ def session(av="ego", time_s=2.0):
 
 
 def record(out=None):
-    return Record(out, ["ego"], spec_of(Wish(avs=("ego",))))
+    return SessionRecord(out, ["ego"], spec_of(AttackRequest(avs=("ego",))))
 
 
 def post(port, path, **headers):

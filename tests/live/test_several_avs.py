@@ -135,7 +135,7 @@ def test_no_more_attacks_begin_than_are_asked_for(traffic, monkeypatch):
     """Also while another is under way, and without a pause."""
     monkeypatch.setattr(attacker_module, "policy_of", lambda spec: Nearest())
     libsumo.start(["sumo", "-c", str(traffic(2)), *OPTIONS])
-    wish = attacker_module.Wish(avs=("rear", "front"), duration_s=3.0, pause_s=0.0)
+    wish = attacker_module.AttackRequest(avs=("rear", "front"), duration_s=3.0, pause_s=0.0)
     done = []
     api = shared(libsumo)
     own = attacker_module.sessions(api, wish, attacker_module.spec_of(wish), done.append)
@@ -146,7 +146,7 @@ def test_no_more_attacks_begin_than_are_asked_for(traffic, monkeypatch):
 
 def test_an_av_that_is_named_twice_is_refused():
     with pytest.raises(UsageError, match="AV 'a' is named 2 times"):
-        attacker_module.triggers_of(attacker_module.Wish(avs=("a", "b", "a")))
+        attacker_module.triggers_of(attacker_module.AttackRequest(avs=("a", "b", "a")))
 
 
 def test_serve_attacks_both(traffic, tmp_path):

@@ -58,7 +58,7 @@ def test_the_same_idm_through_the_door_drives_the_same(config):
 
 def test_a_server_that_does_not_know_the_episode_says_so(config):
     with serving({}) as url:
-        server = http.Server("it", url)
+        server = http.HttpConnection("it", url)
         view = {
             "type": "view", "episode": "other", "step": 3, "dt_s": 0.1, "steps_left": 1,
             "av_id": "av", "agents": [], "signals": {}, "av_path_m": None,

@@ -333,7 +333,7 @@ def test_every_door_means_the_same_attack(tmp_path, monkeypatch):
         "spec": spec.load(written(tmp_path)),
         "attack": of_attack(CONFIG, monkeypatch=monkeypatch, tmp_path=tmp_path)[0],
         "api": of_api(monkeypatch),
-        "live": attacker.spec_of(attacker.Wish(avs=("ego",))),
+        "live": attacker.spec_of(attacker.AttackRequest(avs=("ego",))),
     }
     values = {"version": 3, "name": "p", "source": ON_NETWORK, "planners": {"idm": "idm"}}
     file = tmp_path / "plan.yaml"
@@ -358,7 +358,7 @@ def test_every_door_takes_a_profile(tmp_path, monkeypatch, profile):
         of_api(monkeypatch, profile=profile),
         of_api(monkeypatch, sets=[sets]),
     ]
-    live = attacker.spec_of(attacker.Wish(avs=("ego",), sets=(sets,)))
+    live = attacker.spec_of(attacker.AttackRequest(avs=("ego",), sets=(sets,)))
     values = {"version": 3, "name": "p", "source": ON_NETWORK, "planners": {"idm": "idm"}}
     for keys in (
         {"profile": profile, "methods": {"a": "deepmf"}},

@@ -7,8 +7,8 @@ import numpy as np
 import sumo
 
 from deepmf_sumo.live.connection import shared
-from deepmf_sumo.live.engagement import Scenery, Surroundings
-from deepmf_sumo.live.observer import Observer
+from deepmf_sumo.live.engagement import LiveRoad, Scenery
+from deepmf_sumo.live.observer import LiveObserver
 from deepmf_sumo.live.session import Session
 from deepmf_sumo.live.triggers import Trigger
 from deepmf_sumo.scene import Plan, TurnRules
@@ -64,8 +64,8 @@ def session_on(
     scenery = Scenery(
         api=live,
         av_id=av,
-        observer=Observer(live, av, 80.0),
-        surroundings=Surroundings(live, folder / net, ()),
+        observer=LiveObserver(live, av, 80.0),
+        surroundings=LiveRoad(live, folder / net, ()),
         rules=rules or TurnRules(longest_s=5.0),
     )
     triggers = (Trigger(),) if triggers is None else triggers

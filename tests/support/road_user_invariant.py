@@ -3,7 +3,7 @@
 Who rides is asked of the vehicles here, and of the persons in the product.
 """
 
-from deepmf_sumo.live.observer import Observer
+from deepmf_sumo.live.observer import LiveObserver
 from deepmf_sumo.sumo.simulation.road_users import TrafficReader
 
 
@@ -18,7 +18,7 @@ def use(patch) -> None:
         assert found == expected, f"agents are not the road users: {found ^ expected}"
         return states
 
-    look = Observer.look
+    look = LiveObserver.look
 
     def checked_look(observer):
         sighting = look(observer)
@@ -29,7 +29,7 @@ def use(patch) -> None:
         return sighting
 
     patch.setattr(TrafficReader, "states", checked)
-    patch.setattr(Observer, "look", checked_look)
+    patch.setattr(LiveObserver, "look", checked_look)
 
 
 def on_the_road(api) -> set[str]:

@@ -4,19 +4,19 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepmf_sumo.training.samples.dataset import Source, mix
-from deepmf_sumo.training.samples.places import Area
+from deepmf_sumo.training.samples.dataset import SampleSource, mix
+from deepmf_sumo.training.samples.places import SceneArea
 
 
 def source(name, count, *, weight=None, slope=1.0, scenes=20):
     """Samples x -> slope * x, in scenes of equal size."""
     x = np.random.default_rng(len(name) + count).normal(size=(count, 3)).astype(np.float32)
-    return Source(
+    return SampleSource(
         name=name,
         arrays={"x": x, "y": slope * x.sum(1)},
         scene=np.arange(count) * scenes // count,
         scenes=[f"{name}-{number}" for number in range(scenes)],
-        areas=[Area("", ((0, 0),))] * scenes,
+        areas=[SceneArea("", ((0, 0),))] * scenes,
         refused={},
         digest=name,
         weight=weight,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deepmf_sumo.training.samples import dataset
 from deepmf_sumo.training.samples.dataset import Joined, mix
-from deepmf_sumo.training.samples.places import Area
+from deepmf_sumo.training.samples.places import SceneArea
 
 from tests.support import tiny_training
 
@@ -100,7 +100,7 @@ def test_batches_from_a_step_on_are_those_of_the_whole_run(first, size, seed):
 
 
 def test_a_place_is_held_out_in_all_sources_or_in_none():
-    areas = [Area("", ((50 * (number // 4), 0),)) for number in range(80)]
+    areas = [SceneArea("", ((50 * (number // 4), 0),)) for number in range(80)]
     recorded = replace(tiny_training.source("recorded", 800, scenes=80), areas=areas)
     attacked = replace(tiny_training.source("attacked", 160, scenes=80), areas=areas[::-1])
     made = mix([recorded, attacked])

@@ -23,7 +23,7 @@ from deepmf_sumo.training.evaluation.opponent import (
     average_precision,
     vehicles_near,
 )
-from deepmf_sumo.training.evaluation.table import Key, Samples
+from deepmf_sumo.training.evaluation.table import Key, ObjectValues
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.windows import Future
 
@@ -118,7 +118,7 @@ def test_errors_and_misses_by_hand():
 
 
 def test_figures_have_standard_errors_and_no_miss_rule_before_three_seconds():
-    samples, future = Samples("marginal"), future_of(STRAIGHT)
+    samples, future = ObjectValues("marginal"), future_of(STRAIGHT)
     for off in (1.0, 3.0):
         modes = STRAIGHT[None] + [0, off]
         samples.add(final_errors(modes, future, "min_fde"), 1)
@@ -131,7 +131,7 @@ def test_figures_have_standard_errors_and_no_miss_rule_before_three_seconds():
 
 
 def test_gains_are_paired_and_need_the_same_objects():
-    samples = Samples("conditional")
+    samples = ObjectValues("conditional")
     for condition, values in (("a", (1.0, 5.0)), ("b", (0.0, 4.0)), ("c", (3.0,))):
         for value in values:
             samples.add({("min_fde", 8.0): value}, 6, condition)
@@ -158,7 +158,7 @@ def test_calibration_error_by_hand():
 
 
 def test_the_event_of_a_mode_is_to_be_nearest_at_the_horizon():
-    samples = Samples("marginal")
+    samples = ObjectValues("marginal")
     slower = STRAIGHT * 0.5
     modes = np.stack([STRAIGHT, slower])
     truth = np.where(np.arange(80)[:, None] < 40, STRAIGHT, slower)

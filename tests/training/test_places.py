@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.training.samples import places
-from deepmf_sumo.training.samples.places import APART_M, CELL_M, Area, area_of, held_out, numbered
+from deepmf_sumo.training.samples.places import (
+    APART_M,
+    CELL_M,
+    SceneArea,
+    area_of,
+    held_out,
+    numbered,
+)
 
 from tests.support.synthetic import scene
 
@@ -44,7 +51,7 @@ def connected(areas):
 def test_places_are_the_groups_of_scenes_that_are_near_each_other(seed):
     draws = np.random.default_rng(seed)
     areas = [
-        Area(chosen, cells_of(*(draws.uniform(0, 1500, 2) + draws.normal(0, 30, (4, 2)))))
+        SceneArea(chosen, cells_of(*(draws.uniform(0, 1500, 2) + draws.normal(0, 30, (4, 2)))))
         for chosen in draws.choice(["", "net"], 40)
     ]
     number, expected = numbered(areas), connected(areas)
@@ -72,7 +79,7 @@ def test_vehicles_of_two_places_are_never_within_100_m():
 
 
 def test_what_lies_between_two_scenes_connects_them():
-    row = [Area("", cells_of((120.0 * number, 0.0))) for number in range(9)]
+    row = [SceneArea("", cells_of((120.0 * number, 0.0))) for number in range(9)]
     assert set(numbered(row).tolist()) == {0}
     assert numbered(row[::3]).tolist() == [0, 1, 2]
 
@@ -88,11 +95,11 @@ def test_networks_have_their_own_frames():
 
 def test_areas_are_kept_in_json():
     area = area_of(scene())
-    assert Area.read(asdict(area)) == area
+    assert SceneArea.read(asdict(area)) == area
 
 
 def test_about_one_place_in_ten_is_held_out_in_any_order():
-    areas = [Area("", ((50 * (number // 3), 7),)) for number in range(600)]
+    areas = [SceneArea("", ((50 * (number // 3), 7),)) for number in range(600)]
     samples = np.arange(600) % 4
     kept, is_apart = held_out(areas, samples)
     assert is_apart
@@ -106,7 +113,7 @@ def test_about_one_place_in_ten_is_held_out_in_any_order():
 @pytest.mark.parametrize("count", [2, 3, 5, 9])
 def test_of_few_places_one_is_held_out_and_never_most_samples(count):
     for start in range(20):
-        areas = [Area("", ((50 * (start + number), 0),)) for number in range(count)]
+        areas = [SceneArea("", ((50 * (start + number), 0),)) for number in range(count)]
         samples = np.array([100, *[10] * (count - 1)])
         kept, is_apart = held_out(areas, samples)
         assert is_apart
@@ -117,13 +124,13 @@ def test_of_few_places_one_is_held_out_and_never_most_samples(count):
 
 def test_at_most_half_of_the_samples_are_held_out_whatever_is_drawn(monkeypatch):
     monkeypatch.setattr(places, "_draws", lambda areas, _: [0] * len(areas))
-    areas = [Area("", ((50 * number, 0),)) for number in range(9)]
+    areas = [SceneArea("", ((50 * number, 0),)) for number in range(9)]
     kept, _ = held_out(areas, np.ones(9, int))
     assert kept.sum() == 4
 
 
 def test_places_without_samples_are_not_what_is_held_out():
-    areas = [Area("", ((50 * number, 0),)) for number in range(40)]
+    areas = [SceneArea("", ((50 * number, 0),)) for number in range(40)]
     samples = np.zeros(40, int)
     samples[[4, 17]] = 5
     kept, is_apart = held_out(areas, samples)
@@ -132,7 +139,7 @@ def test_places_without_samples_are_not_what_is_held_out():
 
 
 def test_scenes_of_one_place_are_held_out_one_by_one():
-    areas = [Area("", ((0, 0),))] * 20
+    areas = [SceneArea("", ((0, 0),))] * 20
     kept, is_apart = held_out(areas, np.ones(20, int))
     assert not is_apart
     assert np.flatnonzero(kept).tolist() == [9, 19]

@@ -9,7 +9,7 @@ import torch
 
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.training.fit import loop
-from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, LearningCurves
 from deepmf_sumo.training.fit.loop import Schedule
 
 from tests.support import tiny_training
@@ -38,7 +38,7 @@ def train(folder, *, schedule=SCHEDULE, cache=None, cut=None, lines=None):
 
     report = lines.append if lines is not None else lambda _: None
     names = [source.name for source in cache.sources]
-    curves = Curves(folder / "curves.csv", names, report)
+    curves = LearningCurves(folder / "curves.csv", names, report)
     found = loop.train(net, cache, loss, schedule, Checkpoints(folder / "a"), curves, report)
     return net, found, len(made)
 
@@ -122,7 +122,7 @@ def test_a_full_disk_costs_a_checkpoint_and_nothing_else(tmp_path, monkeypatch):
         real(descriptor)
 
     monkeypatch.setattr(os, "fsync", full)
-    monkeypatch.setattr(Curves, "write", lambda *_: None)  # it flushes files, too
+    monkeypatch.setattr(LearningCurves, "write", lambda *_: None)  # it flushes files, too
     lines = []
     with pytest.raises(CutError):
         train(tmp_path / "part", cut=50, lines=lines)

@@ -15,14 +15,14 @@ from deepmf_sumo.scene.readers.base import Refusal
 from deepmf_sumo.training import run
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
-from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, LearningCurves
 from deepmf_sumo.training.networks import clusters, trajectory
 from deepmf_sumo.training.samples import dataset, feature_cache
 from deepmf_sumo.training.samples import opponent as opponent_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
-from deepmf_sumo.training.samples.dataset import Source, mix
+from deepmf_sumo.training.samples.dataset import SampleSource, mix
 from deepmf_sumo.training.samples.feature_cache import Data
-from deepmf_sumo.training.samples.places import Area
+from deepmf_sumo.training.samples.places import SceneArea
 
 from tests.support.synthetic import scene, view
 
@@ -101,7 +101,7 @@ def test_training_lowers_the_loss(training):
     schedule = loop.Schedule(steps=16, batch=8, evaluate_every=16)
     before = loop.validation_losses(net, made, loss, schedule)[0]
     checkpoints = Checkpoints(training.folder / "c")
-    curves = Curves(training.folder / "c.csv", ["recordings"], print)
+    curves = LearningCurves(training.folder / "c.csv", ["recordings"], print)
     loop.train(net, made, loss, schedule, checkpoints, curves, lambda _: None)
     assert loop.validation_losses(net, made, loss, schedule)[0] < before - 0.5
 
@@ -115,12 +115,12 @@ def test_held_out_scenes_are_never_trained_on(training):
 
 def test_scenes_without_samples_do_not_make_all_others_held_out():
     for scenes in (5, 40):
-        source = Source(
+        source = SampleSource(
             name="mine",
             arrays={},
             scene=np.array([3, 3, 4]),  # of the scenes only two have samples
             scenes=[str(number) for number in range(scenes)],
-            areas=[Area("", ((0, 0),))] * scenes,
+            areas=[SceneArea("", ((0, 0),))] * scenes,
             refused={},
             digest="",
         )

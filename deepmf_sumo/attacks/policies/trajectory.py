@@ -79,7 +79,7 @@ class Settings(plugins.Settings):
         return self
 
 
-class Trajectory:
+class TrajectoryPolicy:
     """The policy: one plan, made at the first view."""
 
     period_steps: int | None = None
@@ -143,9 +143,9 @@ def build(
     settings: Settings,
     predictors: object = None,
     partner_id: AgentId | None = None,
-) -> Trajectory:
+) -> TrajectoryPolicy:
     """The policy. Raises PluginError if the file is missing or contains something else."""
-    return Trajectory(settings)
+    return TrajectoryPolicy(settings)
 
 
 def _read(path: Path, agent: AgentId) -> tuple[int, Floats]:

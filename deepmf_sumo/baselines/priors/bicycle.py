@@ -20,7 +20,7 @@ CURVATURE_PER_M: Final = 0.18
 """At walking speed: a turning circle of 11 m."""
 
 
-class State(NamedTuple):
+class BicycleState(NamedTuple):
     """Of agents (...): position (..., 2), heading, speed, acceleration, curvature."""
 
     position: Tensor
@@ -38,11 +38,11 @@ class Leg(NamedTuple):
     speed: Tensor
 
 
-def start(motion: Tensor) -> State:
+def start(motion: Tensor) -> BicycleState:
     """Agents at the origin, heading along +x; motion (..., 3): speed, acceleration, yaw rate."""
     speed, acceleration, yaw_rate = motion.unbind(-1)
     limit = curvature_limit(speed)
-    return State(
+    return BicycleState(
         position=torch.zeros_like(motion[..., :2]),
         heading=torch.zeros_like(speed),
         speed=speed,
@@ -64,7 +64,9 @@ def controlled(raw: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
     return acceleration, torch.tanh(steer) * curvature_limit(speed)
 
 
-def advance(state: State, acceleration: Tensor, curvature: Tensor) -> tuple[State, Leg]:
+def advance(
+    state: BicycleState, acceleration: Tensor, curvature: Tensor
+) -> tuple[BicycleState, Leg]:
     """0.5 s on, from the state's controls to the new ones."""
     share = torch.linspace(0.5, SUBSTEPS - 0.5, SUBSTEPS, device=state.speed.device) / SUBSTEPS
     along = _between(state.acceleration, acceleration, share)
@@ -78,7 +80,9 @@ def advance(state: State, acceleration: Tensor, curvature: Tensor) -> tuple[Stat
     middle = state.heading.unsqueeze(-1) + turned - bend.clamp(-limit, limit) * driven / 2
     moved = torch.stack([middle.cos(), middle.sin()], -1) * driven.unsqueeze(-1)
     position = state.position.unsqueeze(-2) + moved.cumsum(-2)
-    end = State(position[..., -1, :], heading[..., -1], speed[..., -1], acceleration, curvature)
+    end = BicycleState(
+        position[..., -1, :], heading[..., -1], speed[..., -1], acceleration, curvature
+    )
     return end, Leg(position, heading, speed)
 
 

@@ -52,23 +52,23 @@ class Context(NamedTuple):
     prior: Gaussian
 
 
-class Motions(NamedTuple):
+class DecodedMotions(NamedTuple):
     """Decoded motion of each vehicle in its own frame: (B, N, 80, 2), (B, N, 80), (B, N, 80)."""
 
     position: Tensor
     heading: Tensor
     speed: Tensor
 
-    def placed(self, graph: dict[str, Tensor]) -> "Motions":
+    def placed(self, graph: dict[str, Tensor]) -> "DecodedMotions":
         """The same in the graph's frame: that of its first vehicle."""
         pose = graph["pose"].unsqueeze(2)
         position = pose[..., :2] + turned(self.position, pose[..., 2])
-        return Motions(position, pose[..., 2] + self.heading, self.speed)
+        return DecodedMotions(position, pose[..., 2] + self.heading, self.speed)
 
-    def knots(self) -> "Motions":
+    def knots(self) -> "DecodedMotions":
         """Every 0.5 s only."""
         every = slice(SUBSTEPS - 1, None, SUBSTEPS)
-        return Motions(
+        return DecodedMotions(
             self.position[:, :, every], self.heading[:, :, every], self.speed[:, :, every]
         )
 
@@ -127,7 +127,7 @@ class MotionPrior(nn.Module):
         heard = self.posterior_messages(nodes, edges_of(graph), linked(there))
         return _gaussian(self.posterior_head(torch.cat([nodes, heard], -1)))
 
-    def decode(self, graph: dict[str, Tensor], context: Context, latent: Tensor) -> Motions:
+    def decode(self, graph: dict[str, Tensor], context: Context, latent: Tensor) -> DecodedMotions:
         """The next 8 s of all vehicles under latents (B, N, 16): each sees where the others are."""
         there = linked(graph["kind"][..., 2] > 0)
         hidden = self.begin(torch.cat([context.nodes, latent], -1))
@@ -146,7 +146,7 @@ class MotionPrior(nn.Module):
             state, leg = bicycle.advance(state, *controls)
             driven = driven + leg.speed.mean(-1) * (SUBSTEPS * bicycle.STEP_S)
             legs.append(leg)
-        return Motions(
+        return DecodedMotions(
             torch.cat([leg.position for leg in legs], 2),
             torch.cat([leg.heading for leg in legs], 2),
             torch.cat([leg.speed for leg in legs], 2),
@@ -217,7 +217,7 @@ def turned(vectors: Tensor, angle: Tensor) -> Tensor:
     return torch.stack([x * cos - y * sin, x * sin + y * cos], -1)
 
 
-def _seen(state: bicycle.State, way: Tensor, info: Tensor, driven: Tensor) -> Tensor:
+def _seen(state: bicycle.BicycleState, way: Tensor, info: Tensor, driven: Tensor) -> Tensor:
     """(B, N, 25) own motion, points of the way ahead in the frame of now, the way's info."""
     metres, seconds = driven.new_tensor(_LOOK_M), driven.new_tensor(_LOOK_S)
     along = driven.unsqueeze(-1) + metres + seconds * state.speed.unsqueeze(-1)

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.deepmf.networks.encode import Pose
+from deepmf_sumo.deepmf.networks.encode import AgentFrame
 from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast, Futures, Ints
@@ -203,7 +203,7 @@ def mass(probability: Singles, ends_m: Singles, modes_m: Singles) -> Singles:
 
 def forecasts(
     goals: GoalSet,
-    pose: Pose,
+    pose: AgentFrame,
     modes: int,
     temperature: float,
     *,
@@ -233,7 +233,7 @@ def forecasts(
     ]
 
 
-def end_density(goals: GoalSet, pose: Pose, ends_m: Floats, kernel_m: float) -> Floats:
+def end_density(goals: GoalSet, pose: AgentFrame, ends_m: Floats, kernel_m: float) -> Floats:
     """(Q) log density of end points (Q, 2) of the scene's frame under the goals of future 0.
 
     A Gaussian of width ``kernel_m`` stands on each goal: for comparing networks.
@@ -329,7 +329,7 @@ def knot_matrix() -> Singles:
     return np.ascontiguousarray(rows[:, 1:].T.astype(np.float32))
 
 
-def to_scene(pose: Pose, position: Singles, heading: Singles) -> tuple[Floats, Floats]:
+def to_scene(pose: AgentFrame, position: Singles, heading: Singles) -> tuple[Floats, Floats]:
     """Positions (..., 2) and headings (...) of the pose's frame in the scene's."""
     return (
         frames.to_scene(position.astype(np.float64), pose.position_m, pose.heading_rad),
@@ -337,7 +337,7 @@ def to_scene(pose: Pose, position: Singles, heading: Singles) -> tuple[Floats, F
     )
 
 
-def to_pose(pose: Pose, futures: Futures) -> tuple[Singles, Singles]:
+def to_pose(pose: AgentFrame, futures: Futures) -> tuple[Singles, Singles]:
     """Positions (K, F, 2) and headings (K, F) of futures in the pose's frame."""
     local, turned = pose.to_local(futures.position_m), pose.turn_rad(futures.heading_rad)
     return local.astype(np.float32), turned.astype(np.float32)

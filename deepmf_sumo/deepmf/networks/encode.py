@@ -141,7 +141,7 @@ _SEVEN = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
+class AgentFrame:
     """Where an agent is now: the frame of its features."""
 
     agent_id: AgentId
@@ -162,10 +162,10 @@ class Pose:
         return frames.wrap(heading_rad - self.heading_rad)
 
 
-def pose_of(view: View, agent_id: AgentId) -> Pose:
+def pose_of(view: View, agent_id: AgentId) -> AgentFrame:
     """The agent's pose at the view's step. Raises KeyError if it is not in view."""
     row = view.history.row(agent_id)
-    return Pose(
+    return AgentFrame(
         agent_id=agent_id,
         position_m=view.history.position_m[row, -1],
         heading_rad=float(view.history.heading_rad[row, -1]),
@@ -254,7 +254,7 @@ def nearest_agents(view: View, row: int, count: int) -> Ints:
     return np.argsort(square, kind="stable")[: count + 1]
 
 
-def agent_arrays(view: View, rows: Ints, size: int, pose: Pose) -> tuple[Floats, Floats]:
+def agent_arrays(view: View, rows: Ints, size: int, pose: AgentFrame) -> tuple[Floats, Floats]:
     """(size, 11) of `AgentState` and (size) of `AgentInfo`; rows beyond the agents are zero."""
     tracks = view.history
     states = np.zeros((size, HISTORY_STEPS, len(AgentState)))
@@ -273,7 +273,7 @@ def agent_arrays(view: View, rows: Ints, size: int, pose: Pose) -> tuple[Floats,
     return states, info
 
 
-def lane_arrays(view: View, index: RoadIndex, size: int, pose: Pose) -> tuple[Floats, Floats]:
+def lane_arrays(view: View, index: RoadIndex, size: int, pose: AgentFrame) -> tuple[Floats, Floats]:
     """(size, 10, 2) and (size) of `LaneInfo`: pieces nearest to a point two seconds ahead."""
     pieces, info = np.zeros((size, 10, 2)), np.zeros((size, len(LaneInfo)))
     focus = pose.position_m + 2 * pose.speed_mps * frames.unit(pose.heading_rad)
@@ -339,7 +339,7 @@ def _path_agents(paths: PathSet, agents: Floats, info: Floats) -> Floats:
     return out
 
 
-def draw(view: View, index: RoadIndex, preset: Preset, pose: Pose) -> Bytes:
+def draw(view: View, index: RoadIndex, preset: Preset, pose: AgentFrame) -> Bytes:
     """(C, pixels, pixels) of 0 and 1 around the pose of an agent of the view."""
     side = preset.raster_pixels
     image = np.zeros((preset.raster_channels, side, side), np.uint8)
@@ -394,7 +394,7 @@ def _set(image: Bytes, local_m: Floats, channel: Ints, preset: Preset) -> None:
     image[channel[inside], pixel[inside, 0], pixel[inside, 1]] = 1
 
 
-def _signals(image: Bytes, view: View, index: RoadIndex, preset: Preset, pose: Pose) -> None:
+def _signals(image: Bytes, view: View, index: RoadIndex, preset: Preset, pose: AgentFrame) -> None:
     """The first metres of each lane with a signal, in the channel of its state."""
     base = preset.raster_channels - preset.raster_signals
     for lane_id, state in view.signals.items():

@@ -727,7 +727,7 @@ def _feet_on_routes(
     return along, left, way[..., 0], way[..., 1]
 
 
-class _Met(NamedTuple):
+class _PairOnRoutes(NamedTuple):
     """First meetings of pairs of routes: (R, E, 11) of MEETING in `Pair`, met, seconds until then.
 
     Of pairs that do not meet it is the point of least distance; their ``late`` is 40 and this
@@ -764,7 +764,7 @@ def _meeting_columns(routes: Routes, motion: Motion, count: int) -> Columns:
 
 def _first_meetings(
     routes: Routes, others: Ints, mine: Ints, own_mps: Floats, ego_mps: float
-) -> _Met:
+) -> _PairOnRoutes:
     """First meetings of R of the routes and E of the AV's; speeds (R, 1) and the AV's."""
     own, ego = routes.node_m[others], routes.node_m[mine]
     own_direction, ego_direction = routes.direction[others], routes.direction[mine]
@@ -794,7 +794,7 @@ def _first_meetings(
         axis=-1,
     )  # fmt: skip
     late = np.where(met, np.maximum(own_s, ego_s), 40.0 + least.min(1))
-    return _Met(columns, met, late)
+    return _PairOnRoutes(columns, met, late)
 
 
 def _apart(own: Floats, ego: Floats) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ import numpy as np
 from deepmf_sumo.deepmf.networks import decode
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS, GoalSet, Singles, log_softmax
-from deepmf_sumo.deepmf.networks.encode import Features, Pose, features, pose_of
+from deepmf_sumo.deepmf.networks.encode import AgentFrame, Features, features, pose_of
 from deepmf_sumo.scene import AgentId, Floats, Forecast, Futures, Heat, View
 from deepmf_sumo.scene.geometry import frames
 
@@ -66,7 +66,7 @@ class MarginalPrediction:
         temperature: of the probabilities.
     """
 
-    pose: Pose
+    pose: AgentFrame
     kernels_m: tuple[Singles, ...]
     members: list[GoalSet]
     whole: GoalSet
@@ -168,7 +168,7 @@ class ConditionalPrediction:
         temperature: of the probabilities.
     """
 
-    pose: Pose
+    pose: AgentFrame
     net: TrajectoryNetwork
     encoding: Any
     gain: Singles | float

@@ -39,7 +39,7 @@ _FARTHEST_M = 5.0
 _ALIGNED_RAD = np.pi / 4
 
 
-class State(NamedTuple):
+class VehicleState(NamedTuple):
     """Position (2) of the box centre, heading and speed of a vehicle at one step."""
 
     position_m: Floats

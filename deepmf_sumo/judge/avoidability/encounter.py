@@ -137,7 +137,7 @@ def onset_of(
     return int(steps[signs[0]]) if len(signs) else first
 
 
-class Moving(NamedTuple):
+class MovingVehicle(NamedTuple):
     """A vehicle at K moments: (K, 2) position and velocity, (K) heading, (2) length, width."""
 
     position_m: Floats
@@ -146,10 +146,10 @@ class Moving(NamedTuple):
     size_m: Floats
 
 
-def on_collision_course(av: Moving, opponent: Moving) -> Bools:
+def on_collision_course(av: MovingVehicle, opponent: MovingVehicle) -> Bools:
     """(K) whether the two boxes overlap within 3 s if both keep velocity and heading."""
 
-    def ahead(one: Moving) -> tuple[Floats, Floats, Floats]:
+    def ahead(one: MovingVehicle) -> tuple[Floats, Floats, Floats]:
         moved = one.velocity_mps[:, None] * _TESTED_S[:, None]
         return one.position_m[:, None] + moved, one.heading_rad[:, None], one.size_m
 
@@ -160,7 +160,7 @@ def _on_course(rollout: Rollout, opponent: int, steps: Ints) -> Bools:
     """(K) `on_collision_course` of AV and opponent at the steps, on one level."""
     tracks, av = rollout.tracks, rollout.tracks.row(rollout.av_id)
     first, second = (
-        Moving(
+        MovingVehicle(
             tracks.position_m[row, steps],
             tracks.velocity_mps[row, steps],
             tracks.heading_rad[row, steps],

@@ -19,11 +19,11 @@ from typing import Final, Literal, NamedTuple, get_args
 import numpy as np
 
 from deepmf_sumo.judge.avoidability import manoeuvres, reference_drivers
-from deepmf_sumo.judge.avoidability.av_path import AvPath, State, keeps_lane, stays_on_road
+from deepmf_sumo.judge.avoidability.av_path import AvPath, VehicleState, keeps_lane, stays_on_road
 from deepmf_sumo.judge.avoidability.encounter import (
     DEPARTURE_M,
     Encounter,
-    Moving,
+    MovingVehicle,
     encounter_of,
     hit_by,
     on_collision_course,
@@ -130,30 +130,30 @@ def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bo
     return free
 
 
-class Past(NamedTuple):
+class PastPoses(NamedTuple):
     """(H, 3) poses x, y, heading of the AV and of the opponent in the steps before now."""
 
     av: Floats
     opponent: Floats
 
     @classmethod
-    def none(cls) -> "Past":
+    def none(cls) -> "PastPoses":
         """No steps."""
         return cls(np.empty((0, 3)), np.empty((0, 3)))
 
 
 def avoidable(
-    av_start: State,
+    av_start: VehicleState,
     av_size_m: Floats,
     av_path_m: Floats,
-    opponent_now: State,
+    opponent_now: VehicleState,
     opponent_size_m: Floats,
     opponent_position_m: Floats,
     opponent_heading_rad: Floats,
     dt_s: float,
     by: By = "any",
     av_along_m: Floats | None = None,
-    past: Past | None = None,
+    past: PastPoses | None = None,
     expected_m: Floats | None = None,
 ) -> Bools:
     """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
@@ -176,7 +176,7 @@ def avoidable(
             first step of ``past`` on, nan where that is not known. The driver then takes over at
             the first sign of the attack, as in `judge` (`encounter.onset_step`).
     """
-    past = past or Past.none()
+    past = past or PastPoses.none()
     av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
     path = AvPath.through(av_m, np.append(past.av[:, 2], av_start.heading_rad), av_path_m)
     futures, steps = np.shape(opponent_heading_rad)
@@ -209,13 +209,13 @@ def _onsets(path: AvPath, approach: Approach, driven_m: Floats, expected_m: Floa
     first = np.where(signs.any(axis=1), signs.argmax(axis=1), approach.steps)
     row, step = np.nonzero(np.arange(approach.steps) < first[:, None])
     centre_m, heading = path.at(driven_m)
-    av = Moving(
+    av = MovingVehicle(
         centre_m[step],
         np.gradient(centre_m, approach.dt_s, axis=0)[step],
         heading[step],
         approach.av_size_m,
     )
-    opponent = Moving(
+    opponent = MovingVehicle(
         approach.position_m[row, step],
         approach.velocity_mps[row, step],
         approach.heading_rad[row, step],

@@ -36,7 +36,7 @@ class Manoeuvres(NamedTuple):
     as_driven: Bools
 
 
-class Driven(NamedTuple):
+class ManoeuvrePaths(NamedTuple):
     """M manoeuvres over K steps, and whether their grip is enough in the path's bends.
 
     ``along_m``, ``left_m``: (M, K) on the path. ``centre_m`` (M, K, 2), ``heading_rad`` (M, K): of
@@ -71,13 +71,13 @@ GRID: Final = _grid()
 """All manoeuvres within the grip of the tyres on a straight road."""
 
 
-def drive(path: AvPath, av_along_m: Floats, dt_s: float) -> Driven:
+def drive(path: AvPath, av_along_m: Floats, dt_s: float) -> ManoeuvrePaths:
     """All of `GRID` from the first of the arc lengths (K), K > 1, at which the AV was."""
     along, speed = _along(av_along_m, dt_s)
     left, aside = _aside(speed, dt_s)
     on_path, heading = path.at(along)
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
-    return Driven(
+    return ManoeuvrePaths(
         along_m=along,
         left_m=left,
         centre_m=on_path + left[..., None] * normal,

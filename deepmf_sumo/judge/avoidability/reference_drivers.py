@@ -227,7 +227,7 @@ def _time(distance_m: Floats, speed_mps: Floats) -> Floats:
     return np.where(moving, distance_m / np.where(moving, speed_mps, 1.0), np.inf)
 
 
-class Driver(Protocol):
+class DriverModel(Protocol):
     """A model of a driver."""
 
     def respond(self, sight: Sight, since_s: Floats) -> tuple[Bools, Floats]:
@@ -305,7 +305,7 @@ class ResponsibilitySensitive:
         return danger, np.where(danger & (since_s >= DELAY_S), self.BRAKING_MPS2, 0.0)
 
 
-MODELS: Final[dict[str, Driver]] = {
+MODELS: Final[dict[str, DriverModel]] = {
     "cc": CompetentCareful(),
     "fsm": FuzzySafety(),
     "rss": ResponsibilitySensitive(),
@@ -381,7 +381,7 @@ def _response(speed_mps: Floats) -> Floats:
 
 
 def drive(
-    models: Sequence[Driver], approach: Approach, av_along_m: Floats, start: int | Ints = 0
+    models: Sequence[DriverModel], approach: Approach, av_along_m: Floats, start: int | Ints = 0
 ) -> Floats:
     """(D, N, K) the AV's arc lengths if driver d takes over at step ``start``, one or (N).
 
@@ -403,7 +403,11 @@ def drive(
 
 
 def _aware_from(
-    models: Sequence[Driver], approach: Approach, along_m: Floats, speed_mps: Floats, start: Ints
+    models: Sequence[DriverModel],
+    approach: Approach,
+    along_m: Floats,
+    speed_mps: Floats,
+    start: Ints,
 ) -> Ints:
     """(D, N) first step from ``start`` (N) on at which a driver perceives a risk; K: none.
 
@@ -423,7 +427,7 @@ def _aware_from(
 
 
 def _braked(
-    models: Sequence[Driver],
+    models: Sequence[DriverModel],
     approach: Approach,
     along_m: Floats,
     speeds_mps: Floats,
@@ -465,7 +469,7 @@ def overlaps(approach: Approach, centre_m: Floats, heading_rad: Floats, start: i
     )
 
 
-class Outcome(NamedTuple):
+class DriverOutcomes(NamedTuple):
     """Outcomes of D drivers and N opponents, (D, N) each.
 
     ``avoided``: no contact. ``standing``: a contact, but the driver had stopped before, and the
@@ -477,12 +481,12 @@ class Outcome(NamedTuple):
 
 
 def outcome(
-    models: Sequence[Driver],
+    models: Sequence[DriverModel],
     path: AvPath,
     approach: Approach,
     av_along_m: Floats,
     start: int | Ints = 0,
-) -> Outcome:
+) -> DriverOutcomes:
     """The outcome if each driver takes over at step ``start``; see `drive`."""
     along = drive(models, approach, av_along_m, start)
     hit = np.stack([overlaps(approach, *path.at(of_one)) for of_one in along])
@@ -490,4 +494,4 @@ def outcome(
     here, before = (np.take_along_axis(along, at, -1)[..., 0] for at in (first, first - 1))
     avoided: Bools = ~np.any(hit, axis=-1)
     stood = (here - before < STANDING_MPS * approach.dt_s) & (first[..., 0] > start)
-    return Outcome(avoided, ~avoided & stood)
+    return DriverOutcomes(avoided, ~avoided & stood)

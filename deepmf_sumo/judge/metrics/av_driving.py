@@ -11,7 +11,7 @@ import numpy as np
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import CEILING_MPS2, driven_steps
 from deepmf_sumo.judge.metrics.conflict import (
-    Moving,
+    MovingBox,
     braking_to_stay_behind,
     slowing,
     time_to_collision,
@@ -53,11 +53,13 @@ def meetings(episode: Episode) -> Meetings:
         at = at[(ahead > 0) & (np.hypot(*offset.T) < _NEAR_M)]
         if len(at):
             brakes = slowing(tracks, row, rollout.dt_s)[at]
-            found.append(_meeting(Moving.of(tracks, me, at), Moving.of(tracks, row, at), brakes))
+            found.append(
+                _meeting(MovingBox.of(tracks, me, at), MovingBox.of(tracks, row, at), brakes)
+            )
     return Meetings(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
 
-def _meeting(av: Moving, other: Moving, slowing_mps2: Floats) -> Meetings:
+def _meeting(av: MovingBox, other: MovingBox, slowing_mps2: Floats) -> Meetings:
     ttc = time_to_collision(av, other)
     still = other._replace(velocity_mps=np.zeros_like(other.velocity_mps))
     braking = braking_to_stay_behind(av, other, slowing_mps2, ttc)

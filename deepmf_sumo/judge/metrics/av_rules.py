@@ -19,7 +19,7 @@ from deepmf_sumo.judge.metrics._surroundings import (
     unexplained,
 )
 from deepmf_sumo.judge.metrics.conflict import (
-    Moving,
+    MovingBox,
     braking_to_stay_behind,
     slowing,
     time_to_collision,
@@ -170,7 +170,7 @@ def _asked_mps2(rollout: Rollout, steps: Ints, row: int) -> float:
     steps = steps[tracks.valid[row, steps]]
     if not len(steps):
         return 0.0
-    other, mine = Moving.of(tracks, row, steps), Moving.of(tracks, av, steps)
+    other, mine = MovingBox.of(tracks, row, steps), MovingBox.of(tracks, av, steps)
     soon = time_to_collision(other, mine)
     brakes = slowing(tracks, av, rollout.dt_s)[steps]
     return float(braking_to_stay_behind(other, mine, brakes, soon).max(initial=0.0))
@@ -234,12 +234,12 @@ def _gap_s(episode: Episode) -> Floats:
         if row == drive.row or not near.any():
             continue
         at = drive.steps[near]
-        other = Moving.of(tracks, row, at)
+        other = MovingBox.of(tracks, row, at)
         still = other._replace(
             velocity_mps=np.zeros_like(other.velocity_mps), climb_mps=np.zeros(len(at))
         )
         least[near] = np.minimum(
-            least[near], time_to_collision(Moving.of(tracks, drive.row, at), still)
+            least[near], time_to_collision(MovingBox.of(tracks, drive.row, at), still)
         )
     return least
 

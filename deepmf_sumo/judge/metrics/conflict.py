@@ -1,6 +1,6 @@
 """Conflicts of AV and opponent: distance, time to collision, braking that avoids the contact.
 
-`Moving` and its functions extrapolate the motion of two boxes. `over_time` applies them to every
+`MovingBox` and its functions extrapolate the motion of two boxes. `over_time` applies them to every
 step of a rollout.
 """
 
@@ -25,7 +25,7 @@ _CLIMB_STEPS = 10  # heights change slowly, and recorded ones are noisy
 _LEVEL: Final = np.zeros(())
 
 
-class Moving(NamedTuple):
+class MovingBox(NamedTuple):
     """One agent at K steps: centre (K, 2), heading (K), velocity (K, 2); its size (2).
 
     Or K agents, each at a step: then the size is (K, 2).
@@ -40,7 +40,7 @@ class Moving(NamedTuple):
     climb_mps: Floats = _LEVEL
 
     @classmethod
-    def of(cls, tracks: Tracks, row: int, steps: Ints) -> "Moving":
+    def of(cls, tracks: Tracks, row: int, steps: Ints) -> "MovingBox":
         """The agent of a row at steps (K)."""
         return cls(
             tracks.position_m[row, steps],
@@ -51,15 +51,15 @@ class Moving(NamedTuple):
             _climb(tracks, row, steps),
         )
 
-    def at(self, some: Bools) -> "Moving":
+    def at(self, some: Bools) -> "MovingBox":
         """The agent at some of its steps (K)."""
         heading, velocity = self.heading_rad[some], self.velocity_mps[some]
         z_m, climb = (np.broadcast_to(one, some.shape)[some] for one in (self.z_m, self.climb_mps))
         size_m = self.size_m if self.size_m.ndim == 1 else self.size_m[some]
-        return Moving(self.position_m[some], heading, velocity, size_m, z_m, climb)
+        return MovingBox(self.position_m[some], heading, velocity, size_m, z_m, climb)
 
 
-def time_to_collision(a: Moving, b: Moving) -> Floats:
+def time_to_collision(a: MovingBox, b: MovingBox) -> Floats:
     """(K) seconds until two boxes overlap at constant velocity; inf if they never do, 0 if now.
 
     On each of the four box axes the projections overlap during one interval of time, and so do the
@@ -84,7 +84,9 @@ def slowing(tracks: Tracks, row: int, dt_s: float) -> Floats:
     return braking
 
 
-def braking_to_stay_behind(a: Moving, b: Moving, slowing_mps2: Floats, ttc_s: Floats) -> Floats:
+def braking_to_stay_behind(
+    a: MovingBox, b: MovingBox, slowing_mps2: Floats, ttc_s: Floats
+) -> Floats:
     """(K) least constant braking of ``a`` that keeps it behind ``b``.
 
     ``a`` keeps its heading and brakes immediately; ``b`` keeps its heading and its braking (K)
@@ -127,7 +129,7 @@ def _braked_distance(velocity: Floats, braking: Floats, time: Floats) -> Floats:
     return moved
 
 
-def _overlapping(a: Moving, b: Moving, offset: Floats, rate: Floats) -> tuple[Floats, Floats]:
+def _overlapping(a: MovingBox, b: MovingBox, offset: Floats, rate: Floats) -> tuple[Floats, Floats]:
     """Interval of x in which the boxes overlap when ``b`` is at ``offset + x * rate`` from ``a``.
 
     Offsets and rates are (K, ..., 2), headings and sizes those of ``a`` and ``b``. An interval
@@ -183,7 +185,7 @@ def _half(axis: Floats, heading: Floats, size: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Conflict:
+class PairedMotion:
     """AV and opponent at the K simulated steps at which both are present.
 
     Attributes:
@@ -206,7 +208,7 @@ class Conflict:
     braking_mps2: Floats
 
 
-def over_time(rollout: Rollout) -> Conflict:
+def over_time(rollout: Rollout) -> PairedMotion:
     """The series of one rollout. Raises NotMeasurable if the two are never present together."""
     row = _slices.opponent_row(rollout)
     av, together = _slices.together(rollout, row)
@@ -214,8 +216,8 @@ def over_time(rollout: Rollout) -> Conflict:
     if not len(step):
         raise NotMeasurable(NEVER_TOGETHER)
     tracks = rollout.tracks
-    me = Moving.of(tracks, av, step)
-    other = Moving.of(tracks, row, step)
+    me = MovingBox.of(tracks, av, step)
+    other = MovingBox.of(tracks, row, step)
     ttc = time_to_collision(me, other)
     relative = np.hypot(*(me.velocity_mps - other.velocity_mps).T)
     braking = slowing(tracks, row, rollout.dt_s)[step]
@@ -228,7 +230,7 @@ def over_time(rollout: Rollout) -> Conflict:
         other.heading_rad,
         other.size_m,
     )
-    return Conflict(
+    return PairedMotion(
         step=step,
         time_s=np.asarray((step - rollout.now) * rollout.dt_s, float),
         gap_m=distance_m(gap, me.z_m, other.z_m),
@@ -239,7 +241,7 @@ def over_time(rollout: Rollout) -> Conflict:
 
 
 @once
-def series(episode: Episode) -> Conflict:
+def series(episode: Episode) -> PairedMotion:
     """`over_time` of an episode."""
     return over_time(episode.rollout)
 

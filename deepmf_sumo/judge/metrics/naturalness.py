@@ -32,14 +32,14 @@ _PSEUDO_COUNT = 1e-10
 TOO_SHORT_TO_SMOOTH = f"fewer than {WINDOW + 1} steps in a row with and without the attack"
 
 
-class Samples(NamedTuple):
+class AccelerationSamples(NamedTuple):
     """Signed changes of speed in m/s2: of the attack (N), and without it (N)."""
 
     attack: Floats
     unattacked: Floats
 
 
-def samples(rollout: Rollout, case: Case, *, smooth: bool) -> Samples:
+def samples(rollout: Rollout, case: Case, *, smooth: bool) -> AccelerationSamples:
     """The opponent's changes of speed over the planned 8 s, and without the attack.
 
     Only at steps that both have. Raises NotMeasurable if there are none.
@@ -47,7 +47,7 @@ def samples(rollout: Rollout, case: Case, *, smooth: bool) -> Samples:
     stretches = _slices.compared_stretches(rollout, case, beyond=True)
     change = smooth_changes if smooth else speed_changes
     sides = zip(*stretches, strict=True) if stretches else ([], [])
-    found = Samples(
+    found = AccelerationSamples(
         *(
             np.concatenate([np.empty(0), *(change(one, rollout.dt_s) for one in side)])
             for side in sides
@@ -166,12 +166,12 @@ def hausdorff(a_m: Floats, b_m: Floats) -> float:
 
 
 @once
-def _raw(episode: Episode) -> Samples:
+def _raw(episode: Episode) -> AccelerationSamples:
     return samples(episode.rollout, episode.case, smooth=False)
 
 
 @once
-def _smooth(episode: Episode) -> Samples:
+def _smooth(episode: Episode) -> AccelerationSamples:
     return samples(episode.rollout, episode.case, smooth=True)
 
 

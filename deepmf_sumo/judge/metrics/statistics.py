@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmf_sumo.judge.metrics import naturalness
-from deepmf_sumo.judge.metrics.naturalness import Samples
+from deepmf_sumo.judge.metrics.naturalness import AccelerationSamples
 from deepmf_sumo.scene import Floats
 
 BINS = 201
@@ -30,7 +30,7 @@ class Pooled(NamedTuple):
     wasserstein: float
 
 
-def pooled(runs: Iterable[Samples], bins: int = BINS) -> Pooled | None:
+def pooled(runs: Iterable[AccelerationSamples], bins: int = BINS) -> Pooled | None:
     """Compare the accelerations of all runs, of `naturalness.samples`; None without any.
 
     The histograms of one run have 80 samples, so that their divergence is mostly noise; pooled over

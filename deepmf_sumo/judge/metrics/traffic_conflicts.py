@@ -14,7 +14,7 @@ from typing import Final, Literal, NamedTuple, get_args
 import numpy as np
 import shapely
 
-from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
+from deepmf_sumo.judge.metrics.conflict import MovingBox, time_to_collision
 from deepmf_sumo.scene import Bools, Floats, Ints
 from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.geometry.ground import clear
@@ -37,7 +37,7 @@ _REACH_M: Final = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motions:
+class RoadUserMotions:
     """V road users at steps of an equal length: K sightings.
 
     Attributes:
@@ -89,9 +89,9 @@ class Motions:
         found: Ints = own[begin:end]
         return found
 
-    def moving(self, rows: Ints) -> Moving:
+    def moving(self, rows: Ints) -> MovingBox:
         """The road users of sightings (K)."""
-        return Moving(
+        return MovingBox(
             self.position_m[rows],
             self.heading_rad[rows],
             self.velocity_mps[rows],
@@ -101,7 +101,7 @@ class Motions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class ConflictLimits:
     """Largest time to collision and post-encroachment time of a conflict; SSAM's defaults."""
 
     ttc_s: float = 1.5
@@ -147,7 +147,7 @@ class TrafficConflict:
     lanes: tuple[tuple[int, ...], tuple[int, ...]]
 
 
-class Found(NamedTuple):
+class FoundConflicts(NamedTuple):
     """Conflicts by begin and road users; encounters that are not, by reason."""
 
     conflicts: tuple[TrafficConflict, ...]
@@ -165,7 +165,7 @@ class _Encounter(NamedTuple):
     ttc_step: int
 
 
-def find(motions: Motions, limits: Limits) -> Found:
+def find(motions: RoadUserMotions, limits: ConflictLimits) -> FoundConflicts:
     """All conflicts of all pairs; of vehicles of several boxes, those of the nearest boxes.
 
     Steps with a time to collision within the limit belong to one conflict of the pair unless more
@@ -180,10 +180,10 @@ def find(motions: Motions, limits: Limits) -> Found:
         else:
             left_out[CUT_OFF if _unfinished(motions, limits, one) else NOT_SHARED] += 1
     conflicts.sort(key=lambda one: (one.begin, one.first, one.second))
-    return Found(tuple(conflicts), dict(left_out))
+    return FoundConflicts(tuple(conflicts), dict(left_out))
 
 
-def courses(motions: Motions, limits: Limits) -> tuple[Ints, Ints, Floats]:
+def courses(motions: RoadUserMotions, limits: ConflictLimits) -> tuple[Ints, Ints, Floats]:
     """(M) pairs of sightings of one step with a time to collision within the limit, and that time.
 
     The lower index of a road user comes first.
@@ -197,7 +197,7 @@ def courses(motions: Motions, limits: Limits) -> tuple[Ints, Ints, Floats]:
     return mine, theirs, ttc
 
 
-def _near(motions: Motions, seconds: float) -> Iterator[tuple[Ints, Ints]]:
+def _near(motions: RoadUserMotions, seconds: float) -> Iterator[tuple[Ints, Ints]]:
     """Pairs of sightings of one step whose boxes may meet within the seconds, in blocks.
 
     An index of the rectangles, parallel to the axes, around what each box passes over.
@@ -225,7 +225,7 @@ def _joined(held: list[Ints]) -> tuple[Ints, Ints]:
     return mine, theirs
 
 
-def _swept(motions: Motions, seconds: float) -> tuple[Floats, Floats]:
+def _swept(motions: RoadUserMotions, seconds: float) -> tuple[Floats, Floats]:
     """(K, 2) lower and upper corners of rectangles around the boxes' ways."""
     ahead = np.abs(frames.unit(motions.heading_rad))
     half = motions.size_m[motions.body] / 2
@@ -236,7 +236,7 @@ def _swept(motions: Motions, seconds: float) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _encounters(motions: Motions, limits: Limits) -> Iterator[_Encounter]:
+def _encounters(motions: RoadUserMotions, limits: ConflictLimits) -> Iterator[_Encounter]:
     mine, theirs, ttc = courses(motions, limits)
     a, b, step = motions.body[mine], motions.body[theirs], motions.step[mine]
     order = np.lexsort((step, motions.whole[b], motions.whole[a]))
@@ -256,7 +256,7 @@ def _encounters(motions: Motions, limits: Limits) -> Iterator[_Encounter]:
         )
 
 
-def _unfinished(motions: Motions, limits: Limits, one: _Encounter) -> bool:
+def _unfinished(motions: RoadUserMotions, limits: ConflictLimits, one: _Encounter) -> bool:
     """Whether the two may yet pass a common place when the motions end.
 
     Both are there then, and the end is near, or one of them stands where it stood.
@@ -272,12 +272,14 @@ def _unfinished(motions: Motions, limits: Limits, one: _Encounter) -> bool:
     return bool((np.hypot(*moved.T) < motions.size_m[[one.a, one.b], 0]).any())
 
 
-def _window(motions: Motions, limits: Limits) -> int:
+def _window(motions: RoadUserMotions, limits: ConflictLimits) -> int:
     """Steps after a conflict within which a common place is looked for first."""
     return round((limits.ttc_s + limits.pet_s) / motions.dt_s)
 
 
-def _conflict(motions: Motions, limits: Limits, one: _Encounter) -> TrafficConflict | None:
+def _conflict(
+    motions: RoadUserMotions, limits: ConflictLimits, one: _Encounter
+) -> TrafficConflict | None:
     """None where the two passed no common place within the limit."""
     last = int(motions.step[-1])
     soon = min(one.end + _window(motions, limits), last)
@@ -319,7 +321,7 @@ def _conflict(motions: Motions, limits: Limits, one: _Encounter) -> TrafficConfl
 
 
 def _passed(
-    motions: Motions, limits: Limits, one: _Encounter, mine: Ints, theirs: Ints
+    motions: RoadUserMotions, limits: ConflictLimits, one: _Encounter, mine: Ints, theirs: Ints
 ) -> tuple[int, int] | None:
     """Sightings of the two on one place with the least time between; None beyond the limit.
 
@@ -360,14 +362,16 @@ def _apart(mine: Ints, theirs: Ints, most: int) -> tuple[Ints, Ints]:
     return i, at[i, offset]
 
 
-def _ahead(motions: Motions, a: int, b: int) -> bool:
+def _ahead(motions: RoadUserMotions, a: int, b: int) -> bool:
     """Whether b is ahead of a, and a not of b: of two in contact it was there first."""
     offset = motions.position_m[b] - motions.position_m[a]
     ahead = frames.unit(motions.heading_rad[[a, b]])
     return bool(offset @ ahead[0] > 0 and -offset @ ahead[1] <= 0)
 
 
-def _type(motions: Motions, pair: tuple[int, int], one: _Encounter, angle_deg: float) -> SsamType:
+def _type(
+    motions: RoadUserMotions, pair: tuple[int, int], one: _Encounter, angle_deg: float
+) -> SsamType:
     """SSAM's class: by the lanes where the two share one at the begin or the end, else by angle."""
     before = one.begin - round(_BEFORE_S / motions.dt_s)
     ways = [motions.lane[motions.rows(body, before, one.end)] for body in pair]
@@ -385,7 +389,7 @@ def _type(motions: Motions, pair: tuple[int, int], one: _Encounter, angle_deg: f
     return "lane change"
 
 
-def _braking(motions: Motions, body: int, one: _Encounter) -> float:
+def _braking(motions: RoadUserMotions, body: int, one: _Encounter) -> float:
     span = round(_SPAN_S / motions.dt_s)
     rows = motions.rows(body, one.begin - span, one.end)
     step, speed = motions.step[rows], motions.speed_mps[rows]
@@ -394,6 +398,6 @@ def _braking(motions: Motions, body: int, one: _Encounter) -> float:
     return max(float(lost.max(initial=0.0)), 0.0)
 
 
-def _lanes(motions: Motions, rows: Ints, last: int) -> tuple[int, ...]:
+def _lanes(motions: RoadUserMotions, rows: Ints, last: int) -> tuple[int, ...]:
     some = motions.lane[rows[motions.step[rows] <= motions.step[last]]]
     return tuple(dict.fromkeys(some.tolist()))

@@ -44,7 +44,7 @@ class RemoteSettings(Settings):
     road: bool = True
 
 
-class Connection(Protocol):
+class PlannerConnection(Protocol):
     """A planner that answers requests."""
 
     def ask(self, path: str, message: bytes, limit_s: float, what: str) -> bytes:
@@ -73,12 +73,12 @@ class RemotePlanner:
     """
 
     def __init__(
-        self, name: str, settings: RemoteSettings, connect: Callable[[], Connection]
+        self, name: str, settings: RemoteSettings, connect: Callable[[], PlannerConnection]
     ) -> None:
         self._name = name
         self._settings = settings
         self._connect = connect
-        self._connection: Connection | None = None
+        self._connection: PlannerConnection | None = None
         self._episode = ""
         self._model: VehicleModel | None = None
 

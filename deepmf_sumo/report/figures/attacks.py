@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, scale_of, window_of
-from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
+from deepmf_sumo.report.figures.style import PanelGrid, Sheet, Skipped, frame, shape
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.scene import Rollout
@@ -29,7 +29,7 @@ def draw(results: Results) -> Sheet | Skipped:
     if not chosen:
         return Skipped("no run hit the AV")
     rows, columns = shape(len(chosen))
-    grid = Grid(
+    grid = PanelGrid(
         width_in=style.DOUBLE_IN if columns > 2 else style.SINGLE_IN, rows=rows, columns=columns,
         title_lines=1, strip_in=KEY_IN,
     )  # fmt: skip

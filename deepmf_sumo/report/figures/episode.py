@@ -10,9 +10,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from deepmf_sumo.report.drawing import Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
-from deepmf_sumo.report.figures.style import Grid
+from deepmf_sumo.report.figures.style import PanelGrid
 from deepmf_sumo.report.palette import STAR
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.scene import AgentId, Contact, Floats, Ints, RoadMap, Rollout, Tracks
@@ -28,7 +28,7 @@ SECOND: Final = 10
 
 
 def draw_episode(
-    axes: Axes, run: Run, road: RoadMap, window: Window, inches: float, seconds: float
+    axes: Axes, run: Run, road: RoadMap, window: ViewWindow, inches: float, seconds: float
 ) -> None:
     """Draw what the window shows of a run; ``seconds`` is the end of the scale of time."""
     rollout = run.rollout
@@ -72,7 +72,7 @@ def driven(rollout: Rollout, agent: AgentId) -> tuple[Floats, Ints]:
     return position, steps
 
 
-def window_of(runs: Sequence[Run]) -> Window:
+def window_of(runs: Sequence[Run]) -> ViewWindow:
     """A square around what AV and opponent drove in all the runs.
 
     Where that is more than `LARGEST_M` wide, the part around the first run's contact (or around
@@ -119,7 +119,7 @@ def _nearest(rollout: Rollout) -> Floats:
     return end
 
 
-def _others(axes: Axes, rollout: Rollout, window: Window) -> None:
+def _others(axes: Axes, rollout: Rollout, window: ViewWindow) -> None:
     """Everyone else where they were at the end."""
     tracks, end = rollout.tracks, rollout.tracks.steps - 1
     main = {rollout.av_id, rollout.opponent_id}
@@ -137,7 +137,7 @@ def _driven(
     axes: Axes,
     rollout: Rollout,
     agent: AgentId,
-    window: Window,
+    window: ViewWindow,
     colours: Colormap,
     scale: Normalize,
 ) -> None:
@@ -166,7 +166,7 @@ def star(axes: Axes, placed_m: Floats, size_pt: float = 7.0) -> None:
     axes.plot(*placed_m.T, marker="*", color=STAR, mec=edge, mew=width, ms=size_pt, zorder=17)
 
 
-def key(figure: Figure, grid: Grid, seconds: float) -> None:
+def key(figure: Figure, grid: PanelGrid, seconds: float) -> None:
     """Two scales of time and the marks, at the foot of the sheet; takes `KEY_IN`."""
     unit = grid.width_in / 24
     colours = {"AV, s": style.AV_TIME, "opponent, s": style.OPPONENT_TIME}

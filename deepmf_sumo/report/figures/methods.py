@@ -20,7 +20,7 @@ from deepmf_sumo.report.figures.episode import (
     scale_of,
     window_of,
 )
-from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame, shape
+from deepmf_sumo.report.figures.style import PanelGrid, Sheet, Skipped, frame, shape
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.statistics import Difference, Interval
@@ -39,7 +39,7 @@ def draw_methods(results: Results) -> Sheet | Skipped:
     if len(shown) < 2:
         return Skipped("no scene was attacked by two methods")
     rows, columns = shape(len(shown))
-    grid = Grid(
+    grid = PanelGrid(
         width_in=style.DOUBLE_IN if columns > 2 else style.SINGLE_IN, rows=rows, columns=columns,
         title_lines=2, strip_in=KEY_IN,
     )  # fmt: skip

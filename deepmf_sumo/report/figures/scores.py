@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deepmf_sumo.report.drawing import SCORES, Window, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
-from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
+from deepmf_sumo.report.figures.style import PanelGrid, Sheet, Skipped, frame
 from deepmf_sumo.results.artifacts import read_scores
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.scene import OpponentScores, Rollout
@@ -24,7 +24,7 @@ STRIP_IN: Final = 0.44
 FEWEST: Final = 4
 """Scored vehicles that are seen, at least."""
 
-Scored = tuple[Run, dict[str, float], Window]
+Scored = tuple[Run, dict[str, float], ViewWindow]
 
 
 def draw(results: Results) -> Sheet | Skipped:
@@ -37,7 +37,7 @@ def draw(results: Results) -> Sheet | Skipped:
         )
     chosen = sorted(every, key=lambda one: -float(np.std(_seen(one))))[:MOST]
     rows, columns = -(-len(chosen) // COLUMNS), min(COLUMNS, len(chosen))
-    grid = Grid(width_in=style.SINGLE_IN, rows=rows, columns=columns, strip_in=STRIP_IN)
+    grid = PanelGrid(width_in=style.SINGLE_IN, rows=rows, columns=columns, strip_in=STRIP_IN)
     figure, notes = grid.sheet(), []
     for number, ((run, chances, window), letter) in enumerate(
         zip(chosen, style.letters(len(chosen)), strict=True)
@@ -84,7 +84,7 @@ def _chances(run: Run, scores: OpponentScores) -> dict[str, float]:
     return dict(zip(scores.ids, (1.0 / (1.0 + np.exp(-logits))).tolist(), strict=True))
 
 
-def _window(rollout: Rollout) -> Window:
+def _window(rollout: Rollout) -> ViewWindow:
     """Between AV and opponent, so that both are seen."""
     tracks, now = rollout.tracks, rollout.now
     av = tracks.position_m[tracks.row(rollout.av_id), now]
@@ -105,7 +105,7 @@ def _seen(one: Scored) -> list[float]:
     ]
 
 
-def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: Window) -> None:
+def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: ViewWindow) -> None:
     """Everyone where they were when the opponent was chosen."""
     tracks, now = rollout.tracks, rollout.now
     rows = np.flatnonzero(tracks.valid[:, now])
@@ -125,7 +125,7 @@ def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: W
     star(axes, window.place(tracks.position_m[opponent, now][None]), size_pt=5.0)
 
 
-def _key(figure: Figure, grid: Grid) -> None:
+def _key(figure: Figure, grid: PanelGrid) -> None:
     axes = grid.axes(figure, 0.15, 0.17, 0.4 * grid.width_in, 0.06)
     ramp = np.linspace(0, 1, 128)[None]
     axes.imshow(ramp, cmap=SCORES, aspect="auto", extent=(0, 1, 0, 1))

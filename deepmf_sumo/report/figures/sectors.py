@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 
-from deepmf_sumo.report.drawing import Window, square
+from deepmf_sumo.report.drawing import ViewWindow, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import names, of_deepmf
 from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, met_at, scale_of
-from deepmf_sumo.report.figures.style import Grid, Sheet, Skipped, frame
+from deepmf_sumo.report.figures.style import PanelGrid, Sheet, Skipped, frame
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results.reader import Results, Run
 
@@ -29,7 +29,7 @@ def draw(results: Results) -> Sheet | Skipped:
     free = [run for run in hits if run.asked_sector is None]
     there = {run.sector for run in hits}
     chosen = {sector: _best(hits, sector) for sector in range(len(SECTORS)) if sector in there}
-    grid = Grid(width_in=style.SINGLE_IN, rows=3, columns=3, title_lines=2, strip_in=KEY_IN)
+    grid = PanelGrid(width_in=style.SINGLE_IN, rows=3, columns=3, title_lines=2, strip_in=KEY_IN)
     figure, notes = grid.sheet(), []
     seconds = scale_of(list(chosen.values()))
     for sector, (row, column) in enumerate(PLACES):
@@ -72,7 +72,7 @@ def _best(hits: list[Run], sector: int) -> Run:
     return min(there, key=rank)
 
 
-def _from_av(run: Run) -> Window:
+def _from_av(run: Run) -> ViewWindow:
     """A square around the contact, turned so that the AV drives up."""
     contact = run.contact
     assert contact is not None

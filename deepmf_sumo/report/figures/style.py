@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deepmf_sumo import files
-from deepmf_sumo.report.drawing import RoadStyle, Window
+from deepmf_sumo.report.drawing import RoadStyle, ViewWindow
 from deepmf_sumo.report.palette import STAR
 
 SINGLE_IN: Final = 3.4
@@ -167,7 +167,7 @@ def shape(count: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class PanelGrid:
     """A sheet of square panels in rows, with titles above each and a strip below all.
 
     Attributes:
@@ -212,7 +212,7 @@ class Grid:
         return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def frame(axes: Axes, window: Window, title: str) -> None:
+def frame(axes: Axes, window: ViewWindow, title: str) -> None:
     """Limits, title and a bar that tells the scale."""
     axes.set(xlim=(window.x0, window.x1), ylim=(window.y0, window.y1), xticks=[], yticks=[])
     axes.set_aspect("equal")

@@ -12,7 +12,7 @@ from deepmf_sumo.report import failures as words
 from deepmf_sumo.report.page import maps
 from deepmf_sumo.report.page.columns import RUN_COLUMNS, SPEED_CLASSES
 from deepmf_sumo.report.page.replay import packed
-from deepmf_sumo.report.page.roads import ELEMENTS, Roads
+from deepmf_sumo.report.page.roads import ELEMENTS, PageRoads
 from deepmf_sumo.report.page.runs import RunPage, run_page
 from deepmf_sumo.report.palette import SCORES
 from deepmf_sumo.report.table import SECTORS
@@ -37,7 +37,7 @@ def write(out: Path) -> Path:
     where ``out`` is not a result folder, OutputError where it cannot be written.
     """
     table, manifest = _table(out), _json(out / stored.MANIFEST)
-    roads = Roads()
+    roads = PageRoads()
     pages = [run_page(out, row, roads) for row in table]
     groups = grouped([page.failure for page in pages if page.failure], len(pages))
     networks, without_map = _networks(out, pages)

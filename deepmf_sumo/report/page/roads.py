@@ -30,7 +30,7 @@ _KEPT: Final = 8
 
 
 @dataclass(slots=True)
-class Roads:
+class PageRoads:
     """The roads of the runs that were added, numbered."""
 
     _numbers: dict[str, int] = field(default_factory=dict)

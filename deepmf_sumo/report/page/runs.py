@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.page.columns import run_row
 from deepmf_sumo.report.page.replay import lights, main_places, packed, reasons, replay
-from deepmf_sumo.report.page.roads import Roads, element
+from deepmf_sumo.report.page.roads import PageRoads, element
 from deepmf_sumo.report.table import OUTCOMES
 from deepmf_sumo.results import artifacts, stored
 from deepmf_sumo.results.failures import Failure, failure_of
@@ -55,7 +55,7 @@ class RunPage:
     failure: Failure | None
 
 
-def run_page(out: Path, table: Mapping[str, str], roads: Roads) -> RunPage:
+def run_page(out: Path, table: Mapping[str, str], roads: PageRoads) -> RunPage:
     """Read a run; what cannot be read is left out, and the page says so."""
     run = Run.of_row(out, table)
     result, missing = _result(run)
@@ -97,7 +97,7 @@ def _broken(result: Result | None) -> list[str]:
 
 
 def _shown(
-    run: Run, roads: Roads, turns: Sequence[Mapping[str, Any]]
+    run: Run, roads: PageRoads, turns: Sequence[Mapping[str, Any]]
 ) -> tuple[dict[str, Any], str, RoadMap | None]:
     """What is drawn of a run, the element of the road on which the AV was hit, and the road."""
     rollout = run.rollout

@@ -15,7 +15,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.spec import DEFAULT_RULES, VERSIONS
 from deepmf_sumo.study.plans import tables
-from deepmf_sumo.study.plans.layout import Layout, read_layout
+from deepmf_sumo.study.plans.layout import PlanLayout, read_layout
 from deepmf_sumo.tables import read_csv
 
 TextRow = dict[str, str]
@@ -25,7 +25,7 @@ TextRow = dict[str, str]
 class Content:
     """Rows as text, in the plan's order; an empty cell is not known."""
 
-    layout: Layout
+    layout: PlanLayout
     main: Sequence[TextRow]
     differences: Sequence[TextRow]
     equal_seconds: Sequence[TextRow]
@@ -63,7 +63,7 @@ _MEANT: Final = (
 )
 
 
-def of(layout: Layout) -> list[str]:
+def of(layout: PlanLayout) -> list[str]:
     """Sentences: methods with foresight by what they look up; none where there are none."""
     methods: dict[str, list[str]] = {}
     for label in layout.methods:
@@ -89,14 +89,14 @@ _PUBLISHED: Final = "form paper"
 """What is said of rows of DeepMF as it is published, instead of their rule."""
 
 
-def rule_title(layout: Layout, methods: Sequence[str]) -> str:
+def rule_title(layout: PlanLayout, methods: Sequence[str]) -> str:
     """What a table's title says of the forms and rules of its rows of DeepMF; empty without any."""
     rules = dict.fromkeys(_by_method(layout, methods).values())
     said = [one if one == _PUBLISHED else f"extended, rule {one}" for one in rules]
     return f" (DeepMF: {'; '.join(said)})" if said else ""
 
 
-def notes(layout: Layout) -> list[str]:
+def notes(layout: PlanLayout) -> list[str]:
     """A sentence a rule that is not the paper's: which methods choose by it."""
     labels: dict[str, list[str]] = {}
     for label, rule in _by_method(layout, layout.methods).items():
@@ -109,7 +109,7 @@ def notes(layout: Layout) -> list[str]:
     ]
 
 
-def _by_method(layout: Layout, methods: Sequence[str]) -> dict[str, str]:
+def _by_method(layout: PlanLayout, methods: Sequence[str]) -> dict[str, str]:
     default, known = DEFAULT_RULES[layout.plan["version"]], layout.plan["methods"]
     found = {}
     for label in methods:

@@ -9,7 +9,7 @@ from deepmf_sumo.judge.metrics.statistics import BINS
 from deepmf_sumo.report.tables import layouts
 from deepmf_sumo.report.tables.layouts import Content, MethodTable, TableCell, TextRow
 from deepmf_sumo.results.quantities import COLUMNS, Quantity
-from deepmf_sumo.study.plans.layout import Layout
+from deepmf_sumo.study.plans.layout import PlanLayout
 from deepmf_sumo.study.plans.tables import STATUSES
 from deepmf_sumo.tables import to_markdown
 
@@ -58,7 +58,7 @@ def notes_of(content: Content) -> list[str]:
     return [line for line in lines if line]
 
 
-def _cautions(layout: Layout) -> list[str]:
+def _cautions(layout: PlanLayout) -> list[str]:
     """What makes intervals wide."""
     lines = []
     if len(layout.scenes) < _FEW_SCENES:

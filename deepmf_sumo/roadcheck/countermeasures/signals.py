@@ -21,7 +21,7 @@ Foes = Callable[[int, int], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Phase:
+class NewPhase:
     """A phase; ``added_s``: on top of the times that its element, if it has one, names."""
 
     state: str
@@ -33,7 +33,7 @@ class Phase:
         """Whether a link may go."""
         return self.state[link] in GREEN_LETTERS
 
-    def longer(self, seconds: float) -> "Phase":
+    def longer(self, seconds: float) -> "NewPhase":
         """The phase with more time, or with less."""
         return replace(self, duration_s=self.duration_s + seconds, added_s=self.added_s + seconds)
 
@@ -44,7 +44,7 @@ class Phase:
 
 def changed(
     name: str, program: ET.Element, change: Change, lefts: Iterable[int], foes: Foes
-) -> tuple[list[Phase], list[Phase]]:
+) -> tuple[list[NewPhase], list[NewPhase]]:
     """The phases of a program before and after a change.
 
     Args:
@@ -98,7 +98,7 @@ def _times(phases: Iterable[ET.Element]) -> str:
     )
 
 
-def phases(name: str, program: ET.Element) -> list[Phase]:
+def phases(name: str, program: ET.Element) -> list[NewPhase]:
     """The cycle. Raises UsageError for a program that is not one."""
     elements = list(program.iter("phase"))
     kind = program.get("type", "static")
@@ -107,10 +107,12 @@ def phases(name: str, program: ET.Element) -> list[Phase]:
             f"signal '{name}': program '{program.get('programID')}' ({kind}) is not a plain cycle"
             " of phases, which is what can be changed; change it in netedit."
         )
-    return [Phase(one.get("state", ""), float(one.get("duration", "0")), one) for one in elements]
+    return [
+        NewPhase(one.get("state", ""), float(one.get("duration", "0")), one) for one in elements
+    ]
 
 
-def write(program: ET.Element, cycle: Sequence[Phase]) -> None:
+def write(program: ET.Element, cycle: Sequence[NewPhase]) -> None:
     """Put a cycle into its element in place of the phases there."""
     for one in program.findall("phase"):
         program.remove(one)
@@ -128,23 +130,25 @@ def write(program: ET.Element, cycle: Sequence[Phase]) -> None:
         program.append(element)
 
 
-def _with_yellow(name: str, cycle: list[Phase], yellow_s: float, *, keep: bool) -> list[Phase]:
+def _with_yellow(
+    name: str, cycle: list[NewPhase], yellow_s: float, *, keep: bool
+) -> list[NewPhase]:
     """Each green ends with at least ``yellow_s`` of yellow."""
-    found: list[Phase] = []
+    found: list[NewPhase] = []
     for place, phase in enumerate(cycle):
         behind = cycle[(place + 1) % len(cycle)]
         ending = [link for link in _links(cycle) if phase.green(link) and not behind.green(link)]
         found.append(phase)
         if any(behind.state[link] not in YELLOW_LETTERS for link in ending):
             state = _between(phase, behind, ending, "y")
-            found.append(Phase(state, yellow_s))
+            found.append(NewPhase(state, yellow_s))
             found[-2] = _shorter(name, phase, yellow_s, keep=keep)
     return _longer_runs(name, found, _is_yellow, yellow_s, keep=keep)
 
 
-def _with_all_red(name: str, cycle: list[Phase], red_s: float, *, keep: bool) -> list[Phase]:
+def _with_all_red(name: str, cycle: list[NewPhase], red_s: float, *, keep: bool) -> list[NewPhase]:
     """At least ``red_s`` lie between the end of a yellow and the next green."""
-    found: list[Phase] = []
+    found: list[NewPhase] = []
     for place, phase in enumerate(cycle):
         behind = cycle[(place + 1) % len(cycle)]
         gone = [
@@ -153,22 +157,22 @@ def _with_all_red(name: str, cycle: list[Phase], red_s: float, *, keep: bool) ->
         ]  # fmt: skip
         found.append(phase)
         if gone and _begins(phase, behind):
-            found.append(Phase(_between(phase, behind, gone, "r"), red_s))
+            found.append(NewPhase(_between(phase, behind, gone, "r"), red_s))
             place_of_green = _green_before(found, len(found) - 1)
             found[place_of_green] = _shorter(name, found[place_of_green], red_s, keep=keep)
     return _longer_runs(name, found, _is_pause, red_s, keep=keep)
 
 
-def _links(cycle: Sequence[Phase]) -> range:
+def _links(cycle: Sequence[NewPhase]) -> range:
     return range(len(cycle[0].state))
 
 
-def _begins(phase: Phase, behind: Phase) -> bool:
+def _begins(phase: NewPhase, behind: NewPhase) -> bool:
     """Whether a link gets green."""
     return any(behind.green(link) and not phase.green(link) for link in range(len(phase.state)))
 
 
-def _between(phase: Phase, behind: Phase, ending: Sequence[int], letter: str) -> str:
+def _between(phase: NewPhase, behind: NewPhase, ending: Sequence[int], letter: str) -> str:
     """The state of a phase between two: what goes on stays, what ends has the letter."""
     state = [
         "r" if new in GREEN_LETTERS and old not in GREEN_LETTERS else old
@@ -179,11 +183,11 @@ def _between(phase: Phase, behind: Phase, ending: Sequence[int], letter: str) ->
     return "".join(state)
 
 
-def _is_yellow(cycle: Sequence[Phase], place: int) -> bool:
+def _is_yellow(cycle: Sequence[NewPhase], place: int) -> bool:
     return bool(set(cycle[place].state) & set(YELLOW_LETTERS))
 
 
-def _is_pause(cycle: Sequence[Phase], place: int) -> bool:
+def _is_pause(cycle: Sequence[NewPhase], place: int) -> bool:
     """Whether a phase comes behind a yellow, without a yellow or a new green itself."""
     before = cycle[place - 1]
     after_yellow = _is_yellow(cycle, place - 1)
@@ -191,9 +195,9 @@ def _is_pause(cycle: Sequence[Phase], place: int) -> bool:
 
 
 def _longer_runs(
-    name: str, cycle: list[Phase], chosen: Callable[[Sequence[Phase], int], bool],
+    name: str, cycle: list[NewPhase], chosen: Callable[[Sequence[NewPhase], int], bool],
     least_s: float, *, keep: bool,
-) -> list[Phase]:  # fmt: skip
+) -> list[NewPhase]:  # fmt: skip
     """The last phase of each run of chosen ones is as long as makes the run ``least_s``."""
     found = list(cycle)
     for place in range(len(cycle)):
@@ -211,7 +215,7 @@ def _longer_runs(
     return found
 
 
-def _green_before(cycle: Sequence[Phase], place: int) -> int:
+def _green_before(cycle: Sequence[NewPhase], place: int) -> int:
     """The phase before a change from which it takes time: the nearest with green, no yellow."""
     for back in range(1, len(cycle) + 1):
         one = (place - back) % len(cycle)
@@ -220,7 +224,7 @@ def _green_before(cycle: Sequence[Phase], place: int) -> int:
     return place
 
 
-def _shorter(name: str, phase: Phase, seconds: float, *, keep: bool) -> Phase:
+def _shorter(name: str, phase: NewPhase, seconds: float, *, keep: bool) -> NewPhase:
     """A green that has given time. Raises UsageError where too little is left."""
     actuated = phase.element is not None and phase.element.get("minDur") is not None
     if not keep or actuated:  # an actuated light chooses its greens
@@ -235,12 +239,12 @@ def _shorter(name: str, phase: Phase, seconds: float, *, keep: bool) -> Phase:
 
 
 def _protected(
-    name: str, cycle: list[Phase], change: Change, lefts: Iterable[int], foes: Foes
-) -> list[Phase]:
+    name: str, cycle: list[NewPhase], change: Change, lefts: Iterable[int], foes: Foes
+) -> list[NewPhase]:
     """Permissive left turns are red while what they meet has green; then they have their own."""
     assert change.protected_left_s is not None
     rows = list(lefts)
-    found: list[Phase] = []
+    found: list[NewPhase] = []
     waiting: list[int] = []
     for place, phase in enumerate(cycle):
         permissive = [
@@ -269,8 +273,8 @@ def _protected(
 
 
 def _own_green(
-    name: str, cycle: Sequence[Phase], lefts: Sequence[int], change: Change, foes: Foes
-) -> list[Phase]:
+    name: str, cycle: Sequence[NewPhase], lefts: Sequence[int], change: Change, foes: Foes
+) -> list[NewPhase]:
     """Green, yellow and all-red of left turns; the others are red."""
     for one in lefts:
         meets = [other for other in lefts if other != one and foes(one, other)]
@@ -283,13 +287,13 @@ def _own_green(
     red_s = change.all_red_s or _usual_s(cycle, _is_pause)
     rows = [(change.protected_left_s or 0.0, "G"), (yellow_s, "y"), (red_s, "r")]
     return [
-        Phase("".join(letter if link in lefts else "r" for link in _links(cycle)), seconds)
+        NewPhase("".join(letter if link in lefts else "r" for link in _links(cycle)), seconds)
         for seconds, letter in rows
         if seconds
     ]
 
 
-def _usual_s(cycle: Sequence[Phase], chosen: Callable[[Sequence[Phase], int], bool]) -> float:
+def _usual_s(cycle: Sequence[NewPhase], chosen: Callable[[Sequence[NewPhase], int], bool]) -> float:
     """The longest of the chosen phases; 0 without one."""
     return max(
         (phase.duration_s for place, phase in enumerate(cycle) if chosen(cycle, place)), default=0.0

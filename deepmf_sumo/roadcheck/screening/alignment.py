@@ -10,7 +10,7 @@ import shapely
 
 from deepmf_sumo.roadcheck.screening.findings import Case, Judged
 from deepmf_sumo.roadcheck.screening.guidelines import GRAVITY, KMH, Guideline
-from deepmf_sumo.roadcheck.screening.roads import Roads, Way, for_cars, for_motors
+from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, Way, for_cars, for_motors
 from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane
 
 _STEP_MPS: Final = 30 * KMH
@@ -38,7 +38,7 @@ The speeds that netconvert itself gives to turns come to 1.25 g by this radius.
 _EXEMPT: Final = "turn to left or right below 1.5 g: its speed is netconvert's own"
 
 
-def judge(roads: Roads, book: Guideline, found: Judged) -> None:
+def judge(roads: SignalledNetwork, book: Guideline, found: Judged) -> None:
     """All rules, on all edges and movements."""
     found.cases += overlaps(roads.net)
     found.not_judged[_SHARED] += sum(
@@ -100,7 +100,7 @@ def _head_on(edge: NetEdge, other: NetEdge, lanes: tuple[str, str], length_m: fl
     )  # fmt: skip
 
 
-def _links(roads: Roads, book: Guideline, edge: NetEdge, found: Judged) -> None:
+def _links(roads: SignalledNetwork, book: Guideline, edge: NetEdge, found: Judged) -> None:
     """Lanes that end: a missing link, or a lane drop."""
     ways = roads.out_of.get(edge.id, [])
     onward = {way.target.edge for way in ways if not roads.opposite(edge.id, way.target.edge)}
@@ -118,7 +118,7 @@ def _links(roads: Roads, book: Guideline, edge: NetEdge, found: Judged) -> None:
             _missing(edge, edge.id, others, found)
 
 
-def _leaving(roads: Roads, edge: NetEdge) -> list[str]:
+def _leaving(roads: SignalledNetwork, edge: NetEdge) -> list[str]:
     """Edges for cars that begin where this one ends, but those that lead back."""
     return sorted(
         one.id
@@ -141,7 +141,7 @@ def _missing(edge: NetEdge, what: str, others: list[str], found: Judged) -> None
 
 
 def _drop(
-    roads: Roads, book: Guideline, lane: NetLane, beside: list[NetLane], found: Judged
+    roads: SignalledNetwork, book: Guideline, lane: NetLane, beside: list[NetLane], found: Judged
 ) -> None:
     """A lane that ends beside others: an acceleration lane where it comes from a ramp."""
     length, first, ramp = _back(roads, lane)
@@ -167,7 +167,7 @@ def _drop(
         )  # fmt: skip
 
 
-def _back(roads: Roads, lane: NetLane) -> tuple[float, NetLane, Way | None]:
+def _back(roads: SignalledNetwork, lane: NetLane) -> tuple[float, NetLane, Way | None]:
     """Length of a lane up to where it begins, its first piece, and the ramp that it comes from.
 
     It comes from a ramp where it is fed by an edge that does not feed the lanes beside it.
@@ -189,7 +189,9 @@ def _back(roads: Roads, lane: NetLane) -> tuple[float, NetLane, Way | None]:
         length += lane.length_m + sum(one.length_m for one in before[0].inner)
 
 
-def _joins(roads: Roads, book: Guideline, kind: str, ways: list[Way], found: Judged) -> None:
+def _joins(
+    roads: SignalledNetwork, book: Guideline, kind: str, ways: list[Way], found: Judged
+) -> None:
     """Two roads that merge into one lane, without an acceleration lane at all."""
     if kind.startswith("rail") or len({way.target.edge for way in ways}) != 1:
         return

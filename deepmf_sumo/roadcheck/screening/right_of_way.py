@@ -4,7 +4,7 @@ from typing import Final
 
 from deepmf_sumo.roadcheck.screening.findings import Case, Judged
 from deepmf_sumo.roadcheck.screening.guidelines import KMH, Guideline
-from deepmf_sumo.roadcheck.screening.roads import Roads, Way
+from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, Way
 
 _SLOW_MPS: Final = 30 * KMH
 """Up to this limit a junction without any rule of priority is a warning, above it an error."""
@@ -12,7 +12,7 @@ _SLACK_MPS: Final = 2 * KMH
 _BY_RIGHT: Final = {"right_before_left", "left_before_right"}
 
 
-def judge(roads: Roads, book: Guideline, found: Judged) -> None:
+def judge(roads: SignalledNetwork, book: Guideline, found: Judged) -> None:
     """All rules, at all junctions."""
     for junction in roads.net.junctions:
         if junction.type.startswith("rail"):
@@ -34,7 +34,7 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
             _by_right(roads.ways[junction.id], book, found)
 
 
-def _opposed(roads: Roads, one: Way, two: Way) -> bool:
+def _opposed(roads: SignalledNetwork, one: Way, two: Way) -> bool:
     """Oncoming on a lane that both directions share: vehicles of SUMO brake for each other."""
     edges = roads.net.edges
     return (

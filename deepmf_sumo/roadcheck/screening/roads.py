@@ -125,7 +125,7 @@ def _bend(before: Floats, behind: Floats) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Roads:
+class SignalledNetwork:
     """A network with the programs of its lights, those of additional files too."""
 
     file: Path
@@ -263,7 +263,7 @@ def common_place(one: Way, two: Way) -> tuple[float, float] | None:
     )
 
 
-def opened(file: Path) -> Roads:
+def opened(file: Path) -> SignalledNetwork:
     """The network of a .net.xml, .net.xml.gz or .sumocfg.
 
     Raises UsageError where it is none of them, is damaged, or has no junctions.
@@ -275,7 +275,7 @@ def opened(file: Path) -> Roads:
         programs = _programs(net_file, "net")
         for one in additional:
             programs += _programs(one, "additional")
-        return Roads(file=net_file, places=read(net_file), programs=tuple(programs))
+        return SignalledNetwork(file=net_file, places=read(net_file), programs=tuple(programs))
     except SimulationError as error:
         raise UsageError(str(error)) from None
 

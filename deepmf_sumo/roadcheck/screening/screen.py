@@ -10,7 +10,7 @@ from deepmf_sumo.roadcheck import conflict_places as traffic_conflicts
 from deepmf_sumo.roadcheck.screening import alignment, right_of_way, signals
 from deepmf_sumo.roadcheck.screening.findings import COLUMNS, Finding, Judged, grouped
 from deepmf_sumo.roadcheck.screening.guidelines import Guideline
-from deepmf_sumo.roadcheck.screening.roads import Roads, opened
+from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, opened
 
 BESIDE: Final = traffic_conflicts.BESIDE
 """Columns of the risk map that stand beside a finding with ``--beside``."""
@@ -26,7 +26,7 @@ class Screened:
         programs, movements: how many were looked at.
     """
 
-    roads: Roads
+    roads: SignalledNetwork
     findings: tuple[Finding, ...]
     not_judged: Mapping[str, int]
     programs: int

@@ -7,7 +7,13 @@ from typing import Final
 
 from deepmf_sumo.roadcheck.screening.findings import Case, Judged, Severity
 from deepmf_sumo.roadcheck.screening.guidelines import KMH, Clearing, Guideline
-from deepmf_sumo.roadcheck.screening.roads import Program, Roads, Way, common_place, for_motors
+from deepmf_sumo.roadcheck.screening.roads import (
+    Program,
+    SignalledNetwork,
+    Way,
+    common_place,
+    for_motors,
+)
 from deepmf_sumo.scene.signals import GREEN_LETTERS, YELLOW_LETTERS
 
 _OFF: Final = "off"
@@ -17,7 +23,7 @@ _CLEAR_S: Final = 1.0
 _OPPOSITE_RAD: Final = math.radians(120)
 
 
-def judge(roads: Roads, book: Guideline, found: Judged) -> None:
+def judge(roads: SignalledNetwork, book: Guideline, found: Judged) -> None:
     """All rules for lights, on all programs."""
     by_light: dict[str, list[Way]] = defaultdict(list)
     for ways in roads.ways.values():
@@ -37,7 +43,7 @@ def judge(roads: Roads, book: Guideline, found: Judged) -> None:
             _Light(roads, book, program, ways, found).judge()
 
 
-def _count_others(roads: Roads, found: Judged) -> None:
+def _count_others(roads: SignalledNetwork, found: Judged) -> None:
     """Signals of links that are not for motor vehicles."""
     lanes = roads.places.lanes
     for link in roads.net.links:
@@ -65,7 +71,12 @@ class _Light:
     """One program and the ways that it rules."""
 
     def __init__(
-        self, roads: Roads, book: Guideline, program: Program, ways: list[Way], found: Judged
+        self,
+        roads: SignalledNetwork,
+        book: Guideline,
+        program: Program,
+        ways: list[Way],
+        found: Judged,
     ) -> None:
         self.roads, self.book, self.program, self.found = roads, book, program, found
         self.ways = [way for way in ways if way.link.index >= 0]

@@ -96,7 +96,7 @@ _LIMITS: Final = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
+class WrittenBy:
     """What is known about the program that wrote a description.
 
     Attributes:
@@ -120,11 +120,11 @@ class Origin:
         return np.array([1.0, -1.0 if self.is_mirrored else 1.0, 1.0])
 
 
-def origin_of(described: Described) -> Origin:
+def origin_of(described: Described) -> WrittenBy:
     """The origin of a description with ``metadata`` and ``map_features``."""
     metadata = described["metadata"]
     is_simulated = bool(metadata.get("metadrive_processed"))
-    return Origin(
+    return WrittenBy(
         dataset=str(metadata.get("dataset") or "").lower(),
         is_simulated=is_simulated,
         is_mirrored=is_simulated
@@ -132,7 +132,7 @@ def origin_of(described: Described) -> Origin:
     )
 
 
-def road_of(features: Mapping[Any, Described], origin: Origin, repairs: list[str]) -> RoadMap:
+def road_of(features: Mapping[Any, Described], origin: WrittenBy, repairs: list[str]) -> RoadMap:
     """The road. What is dropped, inferred or replaced is listed in ``repairs``."""
     reading = _Reading(origin=origin)
     for key, feature in features.items():
@@ -172,7 +172,7 @@ def _left_of(own: Any, other: Any) -> float:
 class _Reading:
     """A map, feature by feature, and what cannot be kept of it."""
 
-    origin: Origin
+    origin: WrittenBy
     road: RoadBuilder = field(default_factory=RoadBuilder)
     lanes: dict[str, tuple[Described, Floats]] = field(default_factory=dict)
     unknown: set[str] = field(default_factory=set)

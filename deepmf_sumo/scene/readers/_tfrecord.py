@@ -31,7 +31,7 @@ _PIECE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record:
+class TfRecord:
     """One whole record, and where it starts."""
 
     index: int
@@ -70,7 +70,7 @@ def looks_framed(path: Path) -> bool:
     return len(header) == HEADER and _masked_crc(header[:8]) == header[8:]
 
 
-def records(path: Path) -> Iterator[Record | Broken]:
+def records(path: Path) -> Iterator[TfRecord | Broken]:
     """All records in order; damaged ones as `Broken`.
 
     After a payload with a wrong checksum the next record is read, since its position is known. A
@@ -92,7 +92,7 @@ def records(path: Path) -> Iterator[Record | Broken]:
         yield Broken(index=index, offset=offset, reason=reason)
 
 
-def record_at(path: Path, offset: int, index: int) -> Record:
+def record_at(path: Path, offset: int, index: int) -> TfRecord:
     """The record that starts at an offset of the decompressed stream.
 
     Raises ReaderError if there is no whole record. A gzip file is decompressed up to it.
@@ -105,7 +105,7 @@ def record_at(path: Path, offset: int, index: int) -> Record:
         raise ReaderError(
             f"{path} record {index}: cannot be read ({files.reason(error)})."
         ) from None
-    if isinstance(found, Record):
+    if isinstance(found, TfRecord):
         return found
     reason = found.reason if found else f"{_ENDS if offset else _EMPTY}; copy or download it again"
     raise ReaderError(f"{path} record {index}: {reason}.")
@@ -115,7 +115,7 @@ _ENDS: Final = "the file ends before it"
 _EMPTY: Final = "the file contains no scene"
 
 
-def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
+def _next(stream: BinaryIO, index: int, offset: int) -> TfRecord | Broken | None:
     """The record at the stream's position; None at the end of the file."""
     header = stream.read(HEADER)
     if not header:
@@ -134,7 +134,7 @@ def _next(stream: BinaryIO, index: int, offset: int) -> Record | Broken | None:
         reason = "the checksum of its content is wrong; copy or download the file again"
         end = offset + HEADER + len(body)
         return Broken(index=index, offset=offset, reason=reason, end=end)
-    return Record(index=index, offset=offset, payload=payload)
+    return TfRecord(index=index, offset=offset, payload=payload)
 
 
 def _damage(header: bytes, length: int) -> str:

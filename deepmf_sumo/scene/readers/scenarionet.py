@@ -29,7 +29,7 @@ from deepmf_sumo.scene.readers._scenarionet_road import (
     EDGE_KINDS,
     LANE_KINDS,
     LINE_KINDS,
-    Origin,
+    WrittenBy,
     origin_of,
     points_of,
     road_of,
@@ -157,12 +157,12 @@ def _timestamps(metadata: Described, steps: int) -> Floats:
 
 
 def _tracks(
-    ids: list[str], tracks: Sequence[Described], origin: Origin, repairs: list[str]
+    ids: list[str], tracks: Sequence[Described], origin: WrittenBy, repairs: list[str]
 ) -> RawTracks:
     if not tracks:
         raise ValueError("it has no tracks")
     steps = len(tracks[0]["state"]["position"])
-    motions = [_Motion(track["state"], steps, origin) for track in tracks]
+    motions = [_CompletedMotion(track["state"], steps, origin) for track in tracks]
     kinds = [identifier(track["type"]) for track in tracks]
     unusual = sorted(set(kinds) - KINDS.keys() - OTHER_KINDS)
     if unusual:
@@ -186,7 +186,7 @@ def _tracks(
     )
 
 
-class _Motion:
+class _CompletedMotion:
     """The motion of a road user, in the scene's frame, completed where it is not recorded.
 
     Attributes:
@@ -194,7 +194,7 @@ class _Motion:
         turned, sped: numbers of steps whose heading, or velocity, is that of the motion.
     """
 
-    def __init__(self, state: Described, steps: int, origin: Origin) -> None:
+    def __init__(self, state: Described, steps: int, origin: WrittenBy) -> None:
         sign = origin.signs[1]
         self.position_m = _rows(state["position"], steps, 3) * origin.signs
         self.valid = _column(state["valid"], steps) > 0
@@ -292,7 +292,7 @@ class _Lights:
     """
 
     lanes: Mapping[str, Lane]
-    origin: Origin
+    origin: WrittenBy
     version: str
     strange: set[str] = field(default_factory=set)
     placed: list[str] = field(default_factory=list)

@@ -51,7 +51,7 @@ def recordings(root: Path) -> Iterator[RecordRef]:
     empty = True
     for found in _tfrecord.records(root):
         message, empty = None, False
-        if isinstance(found, _tfrecord.Record):
+        if isinstance(found, _tfrecord.TfRecord):
             with suppress(MemoryError):  # `load` meets it again
                 message = _message(found.payload)
         yield RecordRef(

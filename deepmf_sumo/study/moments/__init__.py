@@ -1,8 +1,8 @@
 """AVs and moments of a SUMO configuration to attack: ``source.moments`` of a spec, and `attack`."""
 
-from deepmf_sumo.study.moments.moment import Found, Moment, Wish
+from deepmf_sumo.study.moments.moment import FoundMoments, Moment, WantedMoments
 from deepmf_sumo.study.moments.search import (
-    Request,
+    MomentRequest,
     at,
     documents,
     find,
@@ -16,10 +16,10 @@ from deepmf_sumo.study.moments.search import (
 )
 
 __all__ = [
-    "Found",
+    "FoundMoments",
     "Moment",
-    "Request",
-    "Wish",
+    "MomentRequest",
+    "WantedMoments",
     "at",
     "documents",
     "find",

@@ -26,7 +26,7 @@ _SLOWEST_MPS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Area:
+class AttackArea:
     """Where AVs are attacked: at any of these places.
 
     Attributes:
@@ -56,7 +56,7 @@ class Area:
         return ", ".join(named + ["the polygon"] * (self.polygon is not None))
 
 
-def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Area | None:
+def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> AttackArea | None:
     """The area of a spec; None where it is the whole network.
 
     ``named`` tells how messages call a key. Raises UsageError for an id that is not in the network
@@ -83,7 +83,7 @@ def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Area
                 f"{named('polygon')} {asked.polygon}: it has longitudes and latitudes, and"
                 f" {net_file.name} has no projection; give polygons of SUMO (<poly>) in metres."
             )
-    return Area(
+    return AttackArea(
         junctions=asked.junctions,
         edges=tuple(dict.fromkeys(edges)),
         streets=meant,
@@ -168,7 +168,7 @@ def gets_there(sightings: Sightings, duration_s: float) -> Bools:
     return reached
 
 
-def inside(area: Area, sightings: Sightings, net: NetFile, duration_s: float) -> Bools:
+def inside(area: AttackArea, sightings: Sightings, net: NetFile, duration_s: float) -> Bools:
     """(K) whether an attack on the vehicle is in the area.
 
     On one of the edges; at one of the junctions, or before it and there within the attack; or

@@ -14,9 +14,9 @@ from deepmf_sumo.study.moments.area import gets_there
 from deepmf_sumo.study.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.study.moments.moment import (
     REACH_M,
-    Found,
+    FoundMoments,
     Moment,
-    Wish,
+    WantedMoments,
     around,
     opponents,
     suitable,
@@ -39,10 +39,10 @@ Turns = Mapping[tuple[str, str], str]
 def choose(
     sightings: Sightings,
     turns: Turns,
-    wish: Wish,
+    wish: WantedMoments,
     met: Encounters | None = None,
     within: Bools | None = None,
-) -> Found:
+) -> FoundMoments:
     """Draw moments; the same for the same sightings, wish and seed.
 
     Args:
@@ -72,7 +72,7 @@ def choose(
         reason = "the other vehicles are not there at their times, or no vehicle is near them"
     said = sightings.warnings
     by_time = sorted(range(len(moments)), key=lambda at: (moments[at].start_s, moments[at].av))
-    return Found(
+    return FoundMoments(
         moments=tuple(moments[at] for at in by_time),
         order=tuple(by_time),
         suitable=len(rows),
@@ -87,7 +87,9 @@ def choose(
     )
 
 
-def _notes(sightings: Sightings, wish: Wish, rows: Ints, met: Encounters) -> tuple[str, ...]:
+def _notes(
+    sightings: Sightings, wish: WantedMoments, rows: Ints, met: Encounters
+) -> tuple[str, ...]:
     """What a user should know before anything is attacked."""
     if not met.junctions:
         return ("no two edges meet at any junction of the network: no moment has an encounter",)
@@ -139,7 +141,7 @@ class _Spread:
     """
 
     def __init__(
-        self, sightings: Sightings, turns: Turns, wish: Wish, rows: Ints, met: Encounters
+        self, sightings: Sightings, turns: Turns, wish: WantedMoments, rows: Ints, met: Encounters
     ) -> None:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
@@ -279,7 +281,7 @@ class _Spread:
         return self._turns.get((names[place[0]], names[place[1]]), "straight")
 
 
-def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+def _spans(sightings: Sightings, wish: WantedMoments, rows: Ints) -> Ints:
     """(K) the part of the time, of as many as moments are asked for."""
     time_s = sightings.time_s
     if wish.at_s:
@@ -291,7 +293,7 @@ def _spans(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
     return part
 
 
-def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+def _again(sightings: Sightings, wish: WantedMoments, rows: Ints) -> Ints:
     """Of the rows those of the vehicles and times that are wanted again."""
     wanted = set(wish.again)
     ids = [sightings.bodies[vehicle].id for vehicle in sightings.vehicle[rows]]
@@ -299,7 +301,7 @@ def _again(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
     return rows[[pair in wanted for pair in zip(ids, times, strict=True)]]
 
 
-def _staying(sightings: Sightings, wish: Wish, rows: Ints) -> Ints:
+def _staying(sightings: Sightings, wish: WantedMoments, rows: Ints) -> Ints:
     """Of the rows for a long attack those that stay half as long as the one that stays longest.
 
     In a scenario of minutes most others would have left before the second opponent's turn.

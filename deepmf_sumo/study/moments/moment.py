@@ -11,7 +11,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.scene import DT_S, AgentId, Bools
 from deepmf_sumo.scene.geometry.ground import clear
 from deepmf_sumo.sumo.simulation.road_users import kind_of
-from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Body, Ints, Sightings
+from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, DemandVehicle, Ints, Sightings
 
 VehicleTime = tuple[AgentId, float]
 """A vehicle at a time of the simulation, in seconds to a tenth."""
@@ -20,7 +20,7 @@ Preference = Literal["both", "spread", "encounters"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
+class WantedMoments:
     """The moments that are asked for.
 
     Attributes:
@@ -127,7 +127,7 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class FoundMoments:
     """Moments in the order of time, and where they come from.
 
     Attributes:
@@ -177,7 +177,7 @@ _AV_CLASSES: Final = {
 
 def suitable(
     sightings: Sightings,
-    wish: Wish,
+    wish: WantedMoments,
     from_s: float | None = None,
     from_why: str = "",
     within: Bools | None = None,
@@ -240,7 +240,7 @@ def off_level(sightings: Sightings, rows: Ints, others: Ints) -> Bools:
     return off
 
 
-def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
+def _no_vehicles(sightings: Sightings, wish: WantedMoments) -> str:
     span = f"{sightings.begin_s:g} to {sightings.until_s:g} s"
     if sightings.waiting:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
@@ -253,7 +253,7 @@ def _no_vehicles(sightings: Sightings, wish: Wish) -> str:
     return f"there is no vehicle from {span}{others}{later}"
 
 
-def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
+def _conditions(sightings: Sightings, wish: WantedMoments) -> list[tuple[Bools, str]]:
     """The conditions of a moment, in order, each with the reason if no row satisfies it."""
     bodies, time_s, vehicle = sightings.bodies, sightings.time_s, sightings.vehicle
     asked = np.array([_is_asked(body, wish) for body in bodies], bool)[vehicle]
@@ -284,7 +284,7 @@ def _conditions(sightings: Sightings, wish: Wish) -> list[tuple[Bools, str]]:
     ]
 
 
-def _late(sightings: Sightings, wish: Wish, from_s: float, why: str) -> tuple[Bools, str]:
+def _late(sightings: Sightings, wish: WantedMoments, from_s: float, why: str) -> tuple[Bools, str]:
     """Whether (K) it is that late, and the reason if none is."""
     named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
     because = f", {why}" if why else ""
@@ -304,13 +304,13 @@ def _moves(sightings: Sightings, duration_s: float) -> Bools:
     return moves
 
 
-def _is_asked(body: Body, wish: Wish) -> bool:
+def _is_asked(body: DemandVehicle, wish: WantedMoments) -> bool:
     return (wish.av is None or body.id == wish.av) and (
         wish.av_type is None or body.type in (wish.av_types or (wish.av_type,))
     )
 
 
-def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> None:
+def check_times(wish: WantedMoments, begin_s: float, until_s: float, later: str = "") -> None:
     """Raise UsageError for times of the wish that are between steps, or outside the traffic."""
     at = wish.named("at_s")
     for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
@@ -328,7 +328,7 @@ def check_times(wish: Wish, begin_s: float, until_s: float, later: str = "") -> 
         )
 
 
-def _check(sightings: Sightings, wish: Wish) -> None:
+def _check(sightings: Sightings, wish: WantedMoments) -> None:
     """Raise UsageError for names and times that are not in the traffic."""
     span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
     later = "" if sightings.complete else f" ({wish.later})"
@@ -347,15 +347,15 @@ def _check(sightings: Sightings, wish: Wish) -> None:
             )
 
 
-def _typed(wish: Wish) -> str:
+def _typed(wish: WantedMoments) -> str:
     return f" of type '{wish.av_type}'" if wish.av_type else ""
 
 
-def _when(sightings: Sightings, wish: Wish) -> str:
+def _when(sightings: Sightings, wish: WantedMoments) -> str:
     rows = [row for row, body in enumerate(sightings.bodies) if _is_asked(body, wish)]
     there = sightings.time_s[np.isin(sightings.vehicle, rows)]
     return f" from {there.min():g} to {there.max():g} s" if len(there) else ""
 
 
-def _times(wish: Wish) -> str:
+def _times(wish: WantedMoments) -> str:
     return " or ".join(f"{one:g} s" for one in wish.at_s)

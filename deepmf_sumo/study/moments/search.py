@@ -22,11 +22,18 @@ from deepmf_sumo.spec import FromMoments, Plugin, Spec, of_document
 from deepmf_sumo.spec.document import Document
 from deepmf_sumo.spec.loading import assign
 from deepmf_sumo.spec.tasks import Draw, Task, moment_name, run_id_of, slug
-from deepmf_sumo.study.moments.area import Area, area_of, inside
+from deepmf_sumo.study.moments.area import AttackArea, area_of, inside
 from deepmf_sumo.study.moments.choice import choose, turns_of
 from deepmf_sumo.study.moments.encounters import encounters
 from deepmf_sumo.study.moments.flow import flows
-from deepmf_sumo.study.moments.moment import Flow, Found, Moment, VehicleTime, Wish, check_times
+from deepmf_sumo.study.moments.moment import (
+    Flow,
+    FoundMoments,
+    Moment,
+    VehicleTime,
+    WantedMoments,
+    check_times,
+)
 from deepmf_sumo.study.moments.promising import POOL
 from deepmf_sumo.study.sweep import workers
 from deepmf_sumo.sumo.network.sumo_net import NetFile, read_once
@@ -40,26 +47,27 @@ from deepmf_sumo.texts import of_cell
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
     scouting: Scouting
-    wish: Wish
-    area: Area | None
+    wish: WantedMoments
+    area: AttackArea | None
     answer: Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class MomentRequest:
     """Which moments of a configuration are wanted, and the spec of all runs on it."""
 
     configuration: Configuration
     spec: Spec
     scouting: Scouting
-    wish: Wish
-    area: Area | None = None
+    wish: WantedMoments
+    area: AttackArea | None = None
 
 
-def request(spec: Spec, *, by_option: bool = False) -> Request:
+def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
     """The request of a spec whose source is `FromMoments`, checked before anything is simulated.
 
-    ``by_option``: see `Wish`. Raises SimulationError or UsageError for what is known to be wrong.
+    ``by_option``: see `WantedMoments`. Raises SimulationError or UsageError for what is known to be
+    wrong.
     """
     source = spec.source
     assert isinstance(source, FromMoments)
@@ -67,7 +75,7 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
     key = "--moments-of" if by_option else "source.moments.of"
     again = read(asked.of, key, spec.name, spec.seed) if asked.of else ()
     count = asked.count or len(asked.at_s or again) or 10
-    wish = Wish(
+    wish = WantedMoments(
         count=count,
         pool=POOL * count if asked.draw == "promising" else 0,
         **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
@@ -97,12 +105,17 @@ def request(spec: Spec, *, by_option: bool = False) -> Request:
         settles=asked.from_s == "settled",
         corners=area.corners if area else (),
     )
-    return Request(configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area)
+    return MomentRequest(
+        configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area
+    )
 
 
 def find(
-    scouting: Scouting, wish: Wish, timeout_s: float | None = None, area: Area | None = None
-) -> Found:
+    scouting: Scouting,
+    wish: WantedMoments,
+    timeout_s: float | None = None,
+    area: AttackArea | None = None,
+) -> FoundMoments:
     """Simulate the configuration once, and choose moments of it.
 
     Where the wish names times, nothing later than attacks at them is looked at, unless
@@ -148,18 +161,18 @@ def _search(search: _Search) -> None:
     files.write_json(search.answer, answer)
 
 
-def _named(found: Found, net: NetFile) -> Found:
+def _named(found: FoundMoments, net: NetFile) -> FoundMoments:
     """With the names of the streets."""
     names = {one.edge: net.edges[one.edge].name for one in found.moments if one.edge in net.edges}
     moments = (replace(one, street=names.get(one.edge, "")) for one in found.moments)
     return replace(found, moments=tuple(moments))
 
 
-def _found(answer: dict[str, Any]) -> Found:
+def _found(answer: dict[str, Any]) -> FoundMoments:
     moments = tuple(Moment(**one) for one in answer.pop("moments"))
     notes, passing = tuple(answer.pop("notes")), tuple(Flow(**one) for one in answer.pop("flows"))
     order = tuple(answer.pop("order"))
-    return Found(moments=moments, notes=notes, flows=passing, order=order, **answer)
+    return FoundMoments(moments=moments, notes=notes, flows=passing, order=order, **answer)
 
 
 _LARGEST: Final = 2**26
@@ -191,7 +204,7 @@ def _by_folder(place: Path, depth: int) -> str:
     return " ".join(place.parts[1:-1][-depth:]) or place.name
 
 
-def check(configuration: Configuration, wish: Wish) -> None:
+def check(configuration: Configuration, wish: WantedMoments) -> None:
     """Raise UsageError for a vehicle, type or time that cannot be in a configuration's traffic.
 
     Other mistakes show in the simulation.
@@ -423,7 +436,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     return tables.to_csv(rows, names, cell=tables.exact)
 
 
-def flow_rows(found: Iterable[tuple[Spec, Found]]) -> list[dict[str, Any]]:
+def flow_rows(found: Iterable[tuple[Spec, FoundMoments]]) -> list[dict[str, Any]]:
     """Rows of ``flow.csv``, from specs and what was found: vehicles at each place, and hours."""
     return [
         {"spec": spec.name, "network": _network(spec), **asdict(flow), "hours": round(one.hours, 5)}

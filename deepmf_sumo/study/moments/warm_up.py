@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.study.moments.moment import Wish, opponents
+from deepmf_sumo.study.moments.moment import WantedMoments, opponents
 from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Sightings, growth
 
 _WINDOW_S: Final = 60.0
@@ -21,7 +21,7 @@ class Beginning(NamedTuple):
     why: str = ""
 
 
-def beginning(sightings: Sightings, wish: Wish) -> Beginning | None:
+def beginning(sightings: Sightings, wish: WantedMoments) -> Beginning | None:
     """When attacks may begin; None where nothing was asked for, or there is no traffic."""
     if wish.from_s is None:
         return None

@@ -1,15 +1,15 @@
 """What `deepmf-sumo run` runs: specs, and plans of methods x planners x scenes x seeds."""
 
-from deepmf_sumo.study.plans.layout import Layout, read_layout
-from deepmf_sumo.study.plans.plan import Loaded, Plan, is_plan, load
+from deepmf_sumo.study.plans.layout import PlanLayout, read_layout
+from deepmf_sumo.study.plans.plan import Loaded, StudyPlan, is_plan, load
 from deepmf_sumo.study.plans.run import expected, merge, run, run_specs
 from deepmf_sumo.study.sweep.shards import Shard
 
 __all__ = [
-    "Layout",
     "Loaded",
-    "Plan",
+    "PlanLayout",
     "Shard",
+    "StudyPlan",
     "expected",
     "is_plan",
     "load",

@@ -19,11 +19,11 @@ from deepmf_sumo.spec.document import Document
 from deepmf_sumo.spec.tasks import Label, Task
 from deepmf_sumo.study import moments
 from deepmf_sumo.study.moments import Moment
-from deepmf_sumo.study.plans.plan import Loaded, Plan, Subset
+from deepmf_sumo.study.plans.plan import Loaded, StudyPlan, Subset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
+class PlannedScene:
     """A scene of the plan.
 
     Attributes:
@@ -48,7 +48,7 @@ class Entry:
 
     label: Label
     specs: tuple[Spec, ...]
-    situations: tuple[Situation, ...]
+    situations: tuple[PlannedScene, ...]
 
     def tasks(self, seeds: Sequence[int]) -> Iterator[Task]:
         """A task for every situation and seed."""
@@ -124,7 +124,9 @@ def tasks_of(entries: Sequence[Entry], seeds: Sequence[int]) -> list[Task]:
 
 
 def _budgeted(
-    plan: Plan, specs: dict[tuple[str, str], tuple[Spec, ...]], situations: tuple[Situation, ...]
+    plan: StudyPlan,
+    specs: dict[tuple[str, str], tuple[Spec, ...]],
+    situations: tuple[PlannedScene, ...],
 ) -> list[Entry]:
     """Methods with other budgets than their own."""
     wanted: list[tuple[Subset, str, SearchBudget]] = []
@@ -167,15 +169,15 @@ def _name(method: str, planner: str) -> str:
 
 def _situations(
     specs: Sequence[Spec], cache: Path, look: Callable[[Spec], Sequence[Moment]]
-) -> tuple[Situation, ...]:
+) -> tuple[PlannedScene, ...]:
     """All scenes of all sources; networks of one name differ by time and AV."""
     stems = Counter(one.source.network.stem for one in specs if isinstance(one.source, FromNetwork))
-    found: list[Situation] = []
+    found: list[PlannedScene] = []
     for number, one in enumerate(specs):
         source = one.source
         if isinstance(source, FromMoments):
             found += [
-                Situation(
+                PlannedScene(
                     source=number, scene=_scene(source.at(each.start_s, each.av)), moment=each
                 )
                 for each in look(one)
@@ -184,7 +186,7 @@ def _situations(
         for scene, record in tasks_module.scenes(one, cache):
             alike = isinstance(source, FromNetwork) and stems[scene] > 1
             name = _scene(source) if alike and isinstance(source, FromNetwork) else scene
-            found.append(Situation(source=number, scene=name, record=record))
+            found.append(PlannedScene(source=number, scene=name, record=record))
     names = Counter(place.scene for place in found)
     twice = [name for name, number in names.items() if number > 1]
     if twice:

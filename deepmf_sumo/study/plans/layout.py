@@ -15,7 +15,7 @@ from deepmf_sumo.spec import SearchBudget
 from deepmf_sumo.spec.model import Version
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.plans.entries import Entry, count
-from deepmf_sumo.study.plans.plan import Plan, Subset
+from deepmf_sumo.study.plans.plan import StudyPlan, Subset
 
 FILE: Final = "study.json"
 FORMAT_VERSION: Final = 2
@@ -38,7 +38,7 @@ class Budgeted:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class PlanLayout:
     """A plan as its result folder keeps it.
 
     Attributes:
@@ -81,7 +81,7 @@ class Layout:
         files.write_json(folder / FILE, {"format_version": FORMAT_VERSION, **values})
 
 
-def layout_of(plan: Plan, entries: Sequence[Entry], planned: Sequence[Task]) -> Layout:
+def layout_of(plan: StudyPlan, entries: Sequence[Entry], planned: Sequence[Task]) -> PlanLayout:
     """What the folder of the plan keeps of it; ``planned`` are all its tasks."""
     deepmf = {entry.label.base for entry in entries if entry.specs[0].adversary.name == "deepmf"}
     methods = [label for label, method in plan.methods.items() if not method.figures_only]
@@ -99,7 +99,7 @@ def layout_of(plan: Plan, entries: Sequence[Entry], planned: Sequence[Task]) -> 
         seconds = {method: [SearchBudget(seconds=equal.seconds)] for method in equal.methods}
     if curves:
         points = {method: list(each.budgets) for method, each in curves.methods.items()}
-    return Layout(
+    return PlanLayout(
         name=plan.name,
         version=deepmf_sumo.__version__,
         methods=methods,
@@ -132,14 +132,14 @@ class _Method(BaseModel):
 
 
 class _Planned(BaseModel):
-    """What `Layout.planned` and the tables need of the plan as written."""
+    """What `PlanLayout.planned` and the tables need of the plan as written."""
 
     version: Version
     methods: dict[str, _Method]
     seeds: list[int]
 
 
-def read_layout(folder: Path) -> Layout:
+def read_layout(folder: Path) -> PlanLayout:
     """The layout of a plan's folder. Raises UsageError where it is not one of this version."""
     file = folder / FILE
     if not file.exists():
@@ -153,7 +153,7 @@ def read_layout(folder: Path) -> Layout:
             "choose another folder, or run that version."
         )
     try:
-        layout = TypeAdapter(Layout).validate_python({**values, "runs": dict(values["runs"])})
+        layout = TypeAdapter(PlanLayout).validate_python({**values, "runs": dict(values["runs"])})
         _check(layout)
     except ValidationError as error:
         wrong = stored.first_wrong(error)
@@ -165,7 +165,7 @@ def read_layout(folder: Path) -> Layout:
     return layout
 
 
-def _check(layout: Layout) -> None:
+def _check(layout: PlanLayout) -> None:
     """Raise ValueError where it is not a plan, or names methods that it does not have."""
     plan = _Planned.model_validate(layout.plan)
     parts = [part for part in (layout.equal_seconds, layout.curves) if part]
@@ -178,7 +178,7 @@ def _check(layout: Layout) -> None:
         raise ValueError(f"the plan has no method {lost[0][:80]!r}")
 
 
-def _part(plan: Plan, subset: Subset, budgets: Budgets, scenes: list[str]) -> Budgeted:
+def _part(plan: StudyPlan, subset: Subset, budgets: Budgets, scenes: list[str]) -> Budgeted:
     return Budgeted(
         budgets={
             method: [budget.model_dump() for budget in each] for method, each in budgets.items()

@@ -84,7 +84,7 @@ class Points(Strict):
         return by_number + tuple(SearchBudget(seconds=float(limit)) for limit in self.seconds)
 
 
-class Curves(Subset):
+class BudgetCurves(Subset):
     """Rate against budget, by method."""
 
     methods: dict[str, Points] = Field(min_length=1)
@@ -112,7 +112,7 @@ def _method(value: Any) -> Any:
     return {"adversary": value} if isinstance(value, str) else value
 
 
-class Plan(Strict):
+class StudyPlan(Strict):
     """What is compared on what."""
 
     version: Version
@@ -137,7 +137,7 @@ class Plan(Strict):
     methods: dict[str, Annotated[Method, BeforeValidator(_method)]]
     tables: Tables = Tables()
     equal_seconds: EqualSeconds | None = None
-    curves: Curves | None = None
+    curves: BudgetCurves | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -209,7 +209,7 @@ class Plan(Strict):
 class Loaded:
     """A plan and the document that it was read from, which knows where each key is."""
 
-    plan: Plan
+    plan: StudyPlan
     document: Document
 
 
@@ -256,7 +256,7 @@ def load(file: Path, sets: Sequence[str] = (), without: Sequence[str] = ()) -> L
         document.assign(assignment)
     _leave_out(document, without)
     context = {"folder": str(file.parent)}
-    return Loaded(checked(Plan, document.values, (), document, context), document)
+    return Loaded(checked(StudyPlan, document.values, (), document, context), document)
 
 
 def _leave_out(document: Document, without: Sequence[str]) -> None:

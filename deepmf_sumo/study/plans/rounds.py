@@ -9,7 +9,7 @@ from deepmf_sumo.results import findings
 from deepmf_sumo.results.quantities import SPARE, criticality
 from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.spec.tasks import Task
-from deepmf_sumo.study.moments import Found, Moment, Request
+from deepmf_sumo.study.moments import FoundMoments, Moment, MomentRequest
 from deepmf_sumo.study.moments.promising import Promising
 from deepmf_sumo.study.sweep.batch import Options
 
@@ -17,7 +17,7 @@ _NEAR: Final = 0.5
 """Worth of a contact that is no finding; of a miss less, by how near it came."""
 
 
-class Rounds:
+class DrawRounds:
     """The moments of specs with ``draw: promising``, see `study.moments.promising`."""
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Rounds:
         self._tasks: dict[str, Task] = {}  # drawn
         self._moments: dict[str, Moment] = {}
 
-    def add(self, request: Request, found: Found, runs: Sequence[Task]) -> None:
+    def add(self, request: MomentRequest, found: FoundMoments, runs: Sequence[Task]) -> None:
         """The pool of a spec, and the run of each of its moments."""
         spread = [at for _, at in sorted(zip(found.order, range(len(runs)), strict=True))]
         pool = [found.moments[at] for at in spread]
@@ -68,7 +68,7 @@ class Rounds:
         return list(drawn.values())
 
 
-def refuse(request: Request, options: Options) -> None:
+def refuse(request: MomentRequest, options: Options) -> None:
     """Raise UsageError where not all runs of a spec whose moments are drawn would be done here."""
     for option, given in (("--shard", options.shard), ("-k", options.name_filter)):
         if request.wish.pool and given:

@@ -15,19 +15,19 @@ from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec import FromMoments, Spec, tasks
 from deepmf_sumo.spec.tasks import Part, Task
 from deepmf_sumo.study import moments
-from deepmf_sumo.study.moments import Found, Moment, Request
+from deepmf_sumo.study.moments import FoundMoments, Moment, MomentRequest
 from deepmf_sumo.study.plans import entries, layout, tables
 from deepmf_sumo.study.plans.entries import Entry
-from deepmf_sumo.study.plans.layout import Layout
+from deepmf_sumo.study.plans.layout import PlanLayout
 from deepmf_sumo.study.plans.plan import Loaded
-from deepmf_sumo.study.plans.rounds import Rounds, refuse
+from deepmf_sumo.study.plans.rounds import DrawRounds, refuse
 from deepmf_sumo.study.sweep import batch, shards
 from deepmf_sumo.study.sweep.batch import Progress
 from deepmf_sumo.study.sweep.inputs import fingerprinted
 from deepmf_sumo.study.sweep.shards import Shard, note
 
 Report = Callable[[Progress], None]
-Announce = Callable[[Request, Found], None]
+Announce = Callable[[MomentRequest, FoundMoments], None]
 """Called with the moments of a network that were found."""
 
 
@@ -63,8 +63,8 @@ def run_specs(
         folder.check(options.out, resume=options.resume, overwrite=options.overwrite)
     chosen: dict[int, list[Task]] = {}
     found: dict[str, Moment] = {}
-    traffic: list[tuple[Spec, Found]] = []
-    rounds = Rounds()
+    traffic: list[tuple[Spec, FoundMoments]] = []
+    rounds = DrawRounds()
     for index, request in wanted.items():
         traffic.append((request.spec, _found(request, options, announce)))
         moments_of = traffic[-1][1].moments
@@ -80,7 +80,7 @@ def run_specs(
     return batch.run_tasks(planned, options, report, rounds)
 
 
-def _found(request: Request, options: batch.Options, announce: Announce) -> Found:
+def _found(request: MomentRequest, options: batch.Options, announce: Announce) -> FoundMoments:
     found = moments.find(request.scouting, request.wish, options.timeout_s, request.area)
     announce(request, found)
     return found
@@ -88,7 +88,7 @@ def _found(request: Request, options: batch.Options, announce: Announce) -> Foun
 
 def _noting(
     chosen: Callable[[], Sequence[tuple[Task, Moment]]],
-    traffic: Iterable[tuple[Spec, Found]],
+    traffic: Iterable[tuple[Spec, FoundMoments]],
     options: batch.Options,
     report: Report,
 ) -> Report:
@@ -130,7 +130,7 @@ def run(
     """
     plan, shard = loaded.plan, options.shard
 
-    traffic: list[tuple[Spec, Found]] = []
+    traffic: list[tuple[Spec, FoundMoments]] = []
 
     def look(spec: Spec) -> Sequence[Moment]:
         request = moments.request(spec)
@@ -166,7 +166,7 @@ def run(
                 tables.write(options.out)
 
 
-def _refuse_lost(out: Path, before: Layout, now: Layout) -> None:
+def _refuse_lost(out: Path, before: PlanLayout, now: PlanLayout) -> None:
     """Raise UsageError where a resumed folder has results that would be in no table any more."""
     done = [one for one in before.runs.keys() - now.runs if (out / "runs" / one).is_dir()]
     if not done:
@@ -239,14 +239,14 @@ def merge(
     return results, missing
 
 
-def _common(folders: Sequence[Path]) -> Layout:
+def _common(folders: Sequence[Path]) -> PlanLayout:
     """The plan of all shards. Raises UsageError where they differ."""
     first = layout.read_layout(folders[0])
     plan = _placeless(first)
     for each in folders[1:]:
         other = _placeless(layout.read_layout(each))
         if other != plan:
-            names = (field.name for field in fields(Layout))
+            names = (field.name for field in fields(PlanLayout))
             key = next(name for name in names if getattr(plan, name) != getattr(other, name))
             raise UsageError(
                 f"{each} is of another plan than {folders[0]} (they differ in '{key}'); "
@@ -255,7 +255,7 @@ def _common(folders: Sequence[Path]) -> Layout:
     return first
 
 
-def _placeless(plan: Layout) -> Layout:
+def _placeless(plan: PlanLayout) -> PlanLayout:
     """The plan, of its files the names alone: on another machine they lie elsewhere.
 
     That their contents are the same is in the keys of its runs.

@@ -15,7 +15,7 @@ import pandas as pd
 
 from deepmf_sumo import files, tables
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
-from deepmf_sumo.judge.metrics.naturalness import Samples
+from deepmf_sumo.judge.metrics.naturalness import AccelerationSamples
 from deepmf_sumo.judge.metrics.statistics import (
     distinct,
     diversity_m,
@@ -30,7 +30,7 @@ from deepmf_sumo.results.reader import Results
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.study.plans import layout
-from deepmf_sumo.study.plans.layout import Budgeted, Layout
+from deepmf_sumo.study.plans.layout import Budgeted, PlanLayout
 
 Row = dict[str, Any]
 STATUSES: Final = ("ok", "failed", "timeout", "skipped")
@@ -121,7 +121,7 @@ def _numbers(column: pd.Series) -> list[int]:
 def _pooled(done: pd.DataFrame) -> Row:
     """Naturalness of all runs' accelerations together."""
     samples = [
-        Samples(np.array(one["attack_mps2"]), np.array(one["recorded_mps2"]))
+        AccelerationSamples(np.array(one["attack_mps2"]), np.array(one["recorded_mps2"]))
         for one in done["samples"]
         if one and one["attack_mps2"]
     ]
@@ -220,7 +220,7 @@ def write(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
 
 
-def main_rows(plan: Layout, runs: Runs) -> list[Row]:
+def main_rows(plan: PlanLayout, runs: Runs) -> list[Row]:
     """A row a method and planner, in the plan's order."""
     return [
         row_of(method, planner, runs[method, planner, None, None], planned)
@@ -244,7 +244,7 @@ def _grouped(runs: pd.DataFrame) -> Runs:
     return defaultdict(lambda: runs.iloc[:0], found)
 
 
-def _differences(plan: Layout, runs: Runs) -> list[Row]:
+def _differences(plan: PlanLayout, runs: Runs) -> list[Row]:
     return [
         row
         for planner in plan.planners
@@ -261,7 +261,7 @@ def _differences(plan: Layout, runs: Runs) -> list[Row]:
     ]
 
 
-def _accidents(plan: Layout, runs: Runs) -> list[Row]:
+def _accidents(plan: PlanLayout, runs: Runs) -> list[Row]:
     """Hits by impact sector on the AV, and by the name of the accident."""
     rows = []
     for planner in plan.planners:
@@ -290,7 +290,7 @@ def _accidents(plan: Layout, runs: Runs) -> list[Row]:
     return rows
 
 
-def _equal_seconds(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
+def _equal_seconds(plan: PlanLayout, part: Budgeted, runs: Runs) -> list[Row]:
     """All methods: those of the part with its seconds, the others with their own budget."""
     return [
         _point(plan, part, method, planner, budget, runs)
@@ -301,7 +301,7 @@ def _equal_seconds(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
     ]
 
 
-def _curves(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
+def _curves(plan: PlanLayout, part: Budgeted, runs: Runs) -> list[Row]:
     """The methods of the part, with their own budget and then with each of its budgets."""
     return [
         _point(plan, part, method, planner, budget, runs)
@@ -312,7 +312,7 @@ def _curves(plan: Layout, part: Budgeted, runs: Runs) -> list[Row]:
 
 
 def _point(
-    plan: Layout,
+    plan: PlanLayout,
     part: Budgeted,
     method: str,
     planner: str,

@@ -10,8 +10,8 @@ The opponent follows its recorded path, so that no weights are needed. Every can
 `deepmf-sumo run` does it, with the same planner.
 """
 
-from deepmf_sumo.study.shrink.failure import Failure, read, run_of
+from deepmf_sumo.study.shrink.failure import RecordedHit, read, run_of
 from deepmf_sumo.study.shrink.reproducer import check, summary, write
 from deepmf_sumo.study.shrink.search import Shrunk, shrink
 
-__all__ = ["Failure", "Shrunk", "check", "read", "run_of", "shrink", "summary", "write"]
+__all__ = ["RecordedHit", "Shrunk", "check", "read", "run_of", "shrink", "summary", "write"]

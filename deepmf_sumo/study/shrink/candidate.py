@@ -8,7 +8,7 @@ import numpy as np
 from deepmf_sumo.scene import DT_S, AgentId, Floats
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.spec import FromNetwork
-from deepmf_sumo.study.shrink.failure import Failure
+from deepmf_sumo.study.shrink.failure import RecordedHit
 
 AFTER_STEPS: Final = 20
 """Simulated beyond the contact: a planner that avoids it is not to be hit a second later."""
@@ -38,7 +38,7 @@ class Candidate:
     smooth: int = 0
 
 
-def path_of(candidate: Candidate, failure: Failure, undisturbed: Floats | None) -> Floats:
+def path_of(candidate: Candidate, failure: RecordedHit, undisturbed: Floats | None) -> Floats:
     """(K, 3) poses of the opponent from the step after the candidate's begin on.
 
     ``undisturbed``: (N, 3) from the run's start on; None where it is not known.
@@ -55,7 +55,7 @@ def path_of(candidate: Candidate, failure: Failure, undisturbed: Floats | None) 
     return poses[candidate.begin + 1 :]
 
 
-def spec_values(candidate: Candidate, failure: Failure, path: Floats) -> dict[str, Any]:
+def spec_values(candidate: Candidate, failure: RecordedHit, path: Floats) -> dict[str, Any]:
     """The spec of a candidate, as it is written; paths are absolute."""
     spec, source = failure.spec, failure.task.resolved()["source"]
     source = {key: value for key, value in source.items() if value not in ([], None)}
@@ -81,7 +81,7 @@ def spec_values(candidate: Candidate, failure: Failure, path: Floats) -> dict[st
     }
 
 
-def undisturbed_values(failure: Failure) -> dict[str, Any]:
+def undisturbed_values(failure: RecordedHit) -> dict[str, Any]:
     """The spec of the run without an attack, in which SUMO or the log drives every vehicle."""
     spec, network = failure.spec, isinstance(failure.spec.source, FromNetwork)
     return {
@@ -97,7 +97,7 @@ def undisturbed_values(failure: Failure) -> dict[str, Any]:
     }
 
 
-def changes_of_plan(candidate: Candidate, failure: Failure) -> int:
+def changes_of_plan(candidate: Candidate, failure: RecordedHit) -> int:
     """How often the opponent turns to a new plan between begin and contact."""
     starts = [plan.first_step for plan in failure.plans[: candidate.plans]]
     return sum(candidate.begin + 1 < first <= candidate.contact for first in starts[1:])

@@ -20,7 +20,7 @@ _LISTED: Final = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Failure:
+class RecordedHit:
     """A hit, with steps counted from the start of its run (step 0).
 
     Attributes:
@@ -87,7 +87,7 @@ def run_of(folder: Path, run_id: str | None = None) -> Path:
     return found
 
 
-def read(folder: Path) -> Failure:
+def read(folder: Path) -> RecordedHit:
     """The failure of a run's folder.
 
     Raises UsageError where the run failed, its opponent did not hit the AV, or a file is missing or
@@ -119,7 +119,7 @@ def read(folder: Path) -> Failure:
     now, row_of = rollout.now, rollout.tracks.row(rollout.opponent_id)
     shown = slice(now, hit.step + 1)
     tracks = rollout.tracks
-    return Failure(
+    return RecordedHit(
         run_id=result["run_id"],
         planner=f"{result['planner']} {result['perception'] or ''}".strip(),
         task=task,

@@ -15,8 +15,8 @@ from deepmf_sumo.study.shrink.candidate import (
     spec_values,
     undisturbed_values,
 )
-from deepmf_sumo.study.shrink.failure import Failure
-from deepmf_sumo.study.shrink.trials import Simulator, Trial, trial, undisturbed
+from deepmf_sumo.study.shrink.failure import RecordedHit
+from deepmf_sumo.study.shrink.trials import CandidateTrial, Simulator, trial, undisturbed
 
 SIMULATIONS: Final = 60
 _LEAST_STEPS: Final = 10
@@ -43,9 +43,9 @@ class Shrunk:
         kept: what was left as it is, and why; empty where all could be tried.
     """
 
-    failure: Failure
-    first: Trial
-    best: Trial
+    failure: RecordedHit
+    first: CandidateTrial
+    best: CandidateTrial
     simulations: int
     finished: bool
     kept: str = ""
@@ -64,7 +64,7 @@ class _Spent(Exception):  # noqa: N818 - no error
 
 
 def shrink(
-    failure: Failure,
+    failure: RecordedHit,
     simulations: int = SIMULATIONS,
     report: Callable[[str], None] = lambda _: None,
 ) -> Shrunk:
@@ -76,7 +76,7 @@ def shrink(
     not repeat byte for byte.
     """
     with Simulator() as simulator:
-        search = _Search(failure, simulator, max(simulations, 3) - 1, report)
+        search = _Shrinking(failure, simulator, max(simulations, 3) - 1, report)
         finished = search.run()
         best = search.best
         simulator.renew()
@@ -96,7 +96,7 @@ def shrink(
         )
 
 
-class _Search:
+class _Shrinking:
     """The best candidate so far, and the steps that try to make it smaller.
 
     ``first``: nothing is made smaller yet. ``kept``: what cannot be, and why.
@@ -104,7 +104,7 @@ class _Search:
 
     def __init__(
         self,
-        failure: Failure,
+        failure: RecordedHit,
         simulator: Simulator,
         budget: int,
         report: Callable[[str], None],
@@ -128,7 +128,7 @@ class _Search:
             return False
         return True
 
-    def _repeated(self) -> Trial:
+    def _repeated(self) -> CandidateTrial:
         """The run with the recorded path, from its start, or from the opponent's turn."""
         failure, why = self._failure, ""
         whole = Candidate(
@@ -163,7 +163,7 @@ class _Search:
         if self._simulator.done >= self._budget:
             raise _Spent
 
-    def _simulated(self, candidate: Candidate) -> Trial:
+    def _simulated(self, candidate: Candidate) -> CandidateTrial:
         self._tried.add(candidate)
         path = path_of(candidate, self._failure, self._calm)
         values = spec_values(candidate, self._failure, path)
@@ -187,7 +187,7 @@ class _Search:
         self._report(said)
         return True
 
-    def _same(self, found: Trial) -> bool:
+    def _same(self, found: CandidateTrial) -> bool:
         """Whether it is the first trial's: of its kind, on its rung, no longer, no harder."""
         first = self.first
         return (

@@ -21,8 +21,8 @@ from deepmf_sumo.scene import DT_S, Floats
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.shrink.candidate import Candidate
-from deepmf_sumo.study.shrink.failure import Failure
-from deepmf_sumo.study.sweep.episode import Episode
+from deepmf_sumo.study.shrink.failure import RecordedHit
+from deepmf_sumo.study.sweep.episode import TaskRunner
 from deepmf_sumo.study.sweep.workers import Worker
 
 _TIMEOUT_S: Final = 600.0
@@ -32,7 +32,7 @@ _SPAN: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trial:
+class CandidateTrial:
     """What a candidate's simulation showed.
 
     Attributes:
@@ -103,7 +103,7 @@ class Simulator:
         """The result of a run, and its folder, which is gone after the block."""
         self.done += 1
         if self._worker is None or not self._worker.alive:
-            work = Episode(runs=self._runs, cache=cache_folder(), sumo=False)
+            work = TaskRunner(runs=self._runs, cache=cache_folder(), sumo=False)
             self._worker = Worker(work, _TIMEOUT_S, _MEMORY_MB)
         ending = self._worker.do(task)
         folder = self._runs / task.run_id
@@ -114,17 +114,17 @@ class Simulator:
         rmtree(folder, ignore_errors=True)
 
 
-def task_of(failure: Failure, values: dict[str, Any]) -> Task:
+def task_of(failure: RecordedHit, values: dict[str, Any]) -> Task:
     """The run of a spec with the failure's scene."""
     return replace(failure.task, run_id="candidate", spec=Spec.model_validate(values))
 
 
 def trial(
-    simulator: Simulator, failure: Failure, candidate: Candidate, values: dict[str, Any]
-) -> Trial:
+    simulator: Simulator, failure: RecordedHit, candidate: Candidate, values: dict[str, Any]
+) -> CandidateTrial:
     """Simulate a candidate with a spec."""
     with simulator.run(task_of(failure, values)) as (result, folder):
-        blank = Trial(candidate=candidate, values=values)
+        blank = CandidateTrial(candidate=candidate, values=values)
         if result["status"] != "ok":
             return replace(blank, why=result["error"] or result["status"])
         if result["outcome"] != "av_opponent":
@@ -133,7 +133,7 @@ def trial(
 
 
 def undisturbed(
-    simulator: Simulator, failure: Failure, values: dict[str, Any]
+    simulator: Simulator, failure: RecordedHit, values: dict[str, Any]
 ) -> tuple[Floats | None, str]:
     """(N, 3) poses of the opponent from the start on without an attack; or None, and why."""
     with simulator.run(task_of(failure, values)) as (result, folder):
@@ -154,7 +154,9 @@ def undisturbed(
         return poses, ""
 
 
-def _judged(blank: Trial, failure: Failure, result: Result, folder: Path) -> Trial:
+def _judged(
+    blank: CandidateTrial, failure: RecordedHit, result: Result, folder: Path
+) -> CandidateTrial:
     file = folder / tracks.FILE
     found = tracks.read_tracks(file)
     hit = next(one for one in result["contacts"] if one["kind"] == "av_opponent")

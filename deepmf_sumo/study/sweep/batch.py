@@ -22,14 +22,14 @@ from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.sweep import episode, fork, shards
 from deepmf_sumo.study.sweep.inputs import Input, fingerprinted, of_exporter
 from deepmf_sumo.study.sweep.limits import TIMEOUT_S
-from deepmf_sumo.study.sweep.others import Others
+from deepmf_sumo.study.sweep.others import OtherRuns
 from deepmf_sumo.study.sweep.others import others as find_others
 from deepmf_sumo.study.sweep.ray_cluster import Cluster
 from deepmf_sumo.study.sweep.shards import Shard
-from deepmf_sumo.study.sweep.workers import Executor, Finished, Limits, Local
+from deepmf_sumo.study.sweep.workers import BatchLimits, Executor, Finished, Local
 
 _ADDRESS: Final = re.compile(r"ray://(\[[0-9a-fA-F:]+\]|[^\s:/]+)(?::(\d{1,5}))?/?")
-_NONE: Final = Others()
+_NONE: Final = OtherRuns()
 _CLIENT_PORT: Final = 10001
 """Of Ray's own for programs outside the cluster."""
 
@@ -165,7 +165,7 @@ def run_tasks(
     every, read = fingerprinted(planned)
     mine = options.shard.choose(every) if options.shard else every
     with opened(options.out, resume=options.resume, overwrite=options.overwrite) as store:
-        others = find_others(store, mine) if options.resume else Others()
+        others = find_others(store, mine) if options.resume else OtherRuns()
         left = more.left if more else 0
         changed = begin(store, mine, options, read, others, left)
         shards.note(options.out, every if options.shard else None)
@@ -189,7 +189,7 @@ def begin(
     planned: Sequence[Task],
     options: Options,
     read: Sequence[Input],
-    others: Others = _NONE,
+    others: OtherRuns = _NONE,
     left: int = 0,
 ) -> tuple[str, ...]:
     """Write the manifest, with what may differ between equal batches in a part of its own.
@@ -227,7 +227,7 @@ class Known:
     """
 
     changed: tuple[str, ...] = ()
-    others: Others = _NONE
+    others: OtherRuns = _NONE
     before: tuple[Result, ...] = ()
     left: int = 0
 
@@ -346,7 +346,7 @@ def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Prog
 def _endings(
     store: Store, left: Sequence[Task], options: Options
 ) -> Generator[Finished, None, None]:
-    work = episode.Episode(
+    work = episode.TaskRunner(
         runs=store.runs,
         cache=cache_folder(),
         draw=options.draw,
@@ -354,7 +354,7 @@ def _endings(
         scenes=options.scenes,
         sumo=options.sumo,
     )
-    limits = Limits(
+    limits = BatchLimits(
         timeout_s=options.timeout_s, memory_mb=options.memory_mb, minutes=options.minutes
     )
     return executor_named(options.executor, options.jobs).run(work, left, limits)

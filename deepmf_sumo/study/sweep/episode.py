@@ -95,7 +95,7 @@ Draw = Callable[[Rollout, Case, Path], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Episode:
+class TaskRunner:
     """Does tasks; each leaves a folder ``runs/<run id>``, whole or not at all.
 
     Attributes:
@@ -134,9 +134,9 @@ class Episode:
             with _as_before():
                 work.run()
 
-    def _work_of(self, task: Task) -> fork.Work:
+    def _work_of(self, task: Task) -> fork.ForkedWork:
         case = functools.partial(make_case, task, self.cache)
-        return fork.Work(case=case, run=functools.partial(self._run, task))
+        return fork.ForkedWork(case=case, run=functools.partial(self._run, task))
 
     def _run(self, task: Task) -> None:
         folder = working_folder(self.runs, task)

@@ -60,14 +60,14 @@ def _flush() -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Work:
+class ForkedWork:
     """What is done for a task: its case, and the run."""
 
     case: Callable[[], Case]
     run: Callable[[], None]
 
 
-WorkOf = Callable[[Task], Work]
+WorkOf = Callable[[Task], ForkedWork]
 T = TypeVar("T")
 _is_copy = False
 _models: dict[Any, VehicleModel | None] = {}  # of passages: what their planner asks SUMO for
@@ -208,7 +208,7 @@ def _serve(pipe: Connection, work_of: WorkOf, parent: int) -> NoReturn:
     os._exit(0)
 
 
-def _in_passage(task: Task, work: Work) -> None:
+def _in_passage(task: Task, work: ForkedWork) -> None:
     """Do a run in a copy of this process: SUMO is at its moment, or is started by the copy.
 
     A first run tells what vehicle model its planner asks SUMO for.

@@ -19,7 +19,7 @@ from deepmf_sumo.study.sweep.inputs import Input, fingerprinted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Others:
+class OtherRuns:
     """What a folder has beside the runs of a command.
 
     Attributes:
@@ -46,7 +46,7 @@ class Others:
         """Runs of other specs that have no result."""
         return len(self.keys) - self.kept
 
-    def without(self, tasks: Iterable[Task]) -> "Others":
+    def without(self, tasks: Iterable[Task]) -> "OtherRuns":
         """The same but for runs that turn out to be the command's own."""
         own = {task.run_id for task in tasks}
         return replace(
@@ -59,7 +59,7 @@ class Others:
         )
 
 
-def others(store: Store, planned: Sequence[Task]) -> Others:
+def others(store: Store, planned: Sequence[Task]) -> OtherRuns:
     """What the folder has beside the planned runs."""
     mine = {task.run_id for task in planned}
     found = {one["run_id"]: one for one in _results(store, mine)}
@@ -71,7 +71,7 @@ def others(store: Store, planned: Sequence[Task]) -> Others:
     front = [one for one in kept if order.get(one, first) < first]
     unbegun = _unbegun(store.out, planned, found)
     identities = {one: {name: found[one][name] for name in IDENTITY} for one in kept}
-    return Others(
+    return OtherRuns(
         before=tuple(found[one] for one in front),
         after=tuple(found[one] for one in kept if one not in front),
         planned=identities | {run_id: one for run_id, (_, one) in unbegun.items()},

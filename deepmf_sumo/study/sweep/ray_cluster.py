@@ -26,7 +26,7 @@ import deepmf_sumo
 from deepmf_sumo.errors import DeepmfError, PluginError, RunError, UsageError
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.sweep.inputs import Input, inputs_of, lacking
-from deepmf_sumo.study.sweep.workers import START_LIMIT_S, Finished, Limits, Work, Worker
+from deepmf_sumo.study.sweep.workers import START_LIMIT_S, BatchLimits, Finished, Work, Worker
 
 POLL_S: Final = 0.5
 """Longest time of a poll, and so until an actor stops."""
@@ -68,7 +68,7 @@ class Answer:
 class WorkerActor:
     """The actor. Its methods are called one at a time."""
 
-    def __init__(self, node: NodeState, work: Any, limits: Limits) -> None:
+    def __init__(self, node: NodeState, work: Any, limits: BatchLimits) -> None:
         self._node, self._limits = node, limits
         self._runs = Path(tempfile.mkdtemp(prefix="deepmf-sumo-"))
         self._work = replace(work, runs=self._runs)
@@ -219,7 +219,7 @@ class Cluster:
             self._check_address(self.host)
 
     def run(
-        self, work: Work, tasks: Sequence[Task], limits: Limits
+        self, work: Work, tasks: Sequence[Task], limits: BatchLimits
     ) -> Generator[Finished, None, None]:
         """As `Executor.run`.
 
@@ -313,7 +313,7 @@ class _Actors:
     ray: Any
     work: Work
     tasks: Sequence[Task]
-    limits: Limits
+    limits: BatchLimits
     slots: int
     calls: dict[Any, _Slot] = field(default_factory=dict)
     idle: list[_Slot] = field(default_factory=list)

@@ -384,7 +384,7 @@ class Work(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class BatchLimits:
     """Limits of a batch.
 
     Attributes:
@@ -405,7 +405,7 @@ class Executor(Protocol):
         """Raise UsageError where it cannot be used, as far as a moment shows."""
 
     def run(
-        self, work: Work, tasks: Sequence[Task], limits: Limits
+        self, work: Work, tasks: Sequence[Task], limits: BatchLimits
     ) -> Generator[Finished, Any, None]:
         """Do all tasks; yields each as it ends. Closing the iterator ends what still runs.
 
@@ -425,7 +425,7 @@ class Local:
         """Always usable."""
 
     def run(
-        self, work: Work, tasks: Sequence[Task], limits: Limits
+        self, work: Work, tasks: Sequence[Task], limits: BatchLimits
     ) -> Generator[Finished, None, None]:
         """As `workers.run`."""
         return run(

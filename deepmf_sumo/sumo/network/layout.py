@@ -10,7 +10,7 @@ from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.sumo.network.lane_graph import LaneGraph, crossings
 from deepmf_sumo.sumo.network.movements import (
-    Movement,
+    JunctionMovement,
     TooManyMovementsError,
     inner_lanes,
     lanes_to_pin,
@@ -93,7 +93,7 @@ class Layout:
     """
 
     groups: list[Group]
-    movements: list[Movement]
+    movements: list[JunctionMovement]
     starts: list[int]
     ends: list[int]
     halved: frozenset[Group]
@@ -150,7 +150,7 @@ def layout(graph: LaneGraph, signalled: Set[str]) -> Layout:
 
 def _junctions(
     groups: list[Group],
-    found: list[Movement],
+    found: list[JunctionMovement],
     crossing: list[tuple[str, str]],
     inside: Set[str],
 ) -> tuple[list[int], list[int]]:

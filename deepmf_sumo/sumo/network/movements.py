@@ -24,7 +24,7 @@ _MANY: Final = 1e15
 
 
 @dataclass(frozen=True, slots=True)
-class Movement:
+class JunctionMovement:
     """A movement through a junction; ``path``: the lanes inside it, in driving order."""
 
     origin: str
@@ -69,7 +69,7 @@ class TooManyMovementsError(Exception):
         self.busiest = busiest
 
 
-def movements(graph: LaneGraph, inside: Set[str]) -> list[Movement]:
+def movements(graph: LaneGraph, inside: Set[str]) -> list[JunctionMovement]:
     """All movements from edge lane to edge lane over lanes inside, in the scene's order.
 
     Raises TooManyMovementsError. Their number can double with every other lane, so they are counted
@@ -78,7 +78,7 @@ def movements(graph: LaneGraph, inside: Set[str]) -> list[Movement]:
     counts = _counted(graph, inside)
     if counts.total > MOST_MOVEMENTS:
         raise TooManyMovementsError(_busiest(graph, counts.over))
-    found: list[Movement] = []
+    found: list[JunctionMovement] = []
     tried: dict[str, float] = defaultdict(float)
     left = MOST_STEPS
     for origin in _outside(graph, inside):
@@ -89,7 +89,7 @@ def movements(graph: LaneGraph, inside: Set[str]) -> list[Movement]:
             path, lane_id = stack.pop()
             left -= 1
             if lane_id not in inside:
-                found.append(Movement(origin, path, lane_id))
+                found.append(JunctionMovement(origin, path, lane_id))
             elif lane_id not in path:
                 tried[lane_id] += 1
                 stack += [((*path, lane_id), after) for after in reversed(graph.following[lane_id])]
@@ -164,7 +164,7 @@ def _busiest(graph: LaneGraph, count: Mapping[str, float]) -> set[str]:
     return set(lanes[: 1 + len(lanes) // 100])
 
 
-def lanes_to_pin(graph: LaneGraph, inside: Set[str], found: list[Movement]) -> set[str]:
+def lanes_to_pin(graph: LaneGraph, inside: Set[str], found: list[JunctionMovement]) -> set[str]:
     """Lanes inside junctions that have to be edges.
 
     They are on no movement; or on the second of two movements between the same two lanes, of which
@@ -172,7 +172,7 @@ def lanes_to_pin(graph: LaneGraph, inside: Set[str], found: list[Movement]) -> s
     """
     used = {lane_id for movement in found for lane_id in movement.path}
     pinned = {lane_id for lane_id in inside - used if not graph.is_point(lane_id)}
-    by_ends: dict[tuple[str, str], list[Movement]] = defaultdict(list)
+    by_ends: dict[tuple[str, str], list[JunctionMovement]] = defaultdict(list)
     for movement in found:
         by_ends[movement.origin, movement.target].append(movement)
     for same in by_ends.values():

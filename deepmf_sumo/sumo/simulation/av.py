@@ -49,7 +49,7 @@ class WayBack(NamedTuple):
     lost: Callable[[], None]
 
 
-class Av:
+class SumoAv:
     """The AV.
 
     Args:

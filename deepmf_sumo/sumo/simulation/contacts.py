@@ -37,7 +37,7 @@ _APART_M = 0.25
 """Recorded boxes that touch tremble: a pair has come apart if its boxes are farther apart."""
 
 
-class Judge:
+class ContactFinder:
     """Finds the first contact of the AV and of each attacker with every other agent.
 
     A contact is an overlap into which a pair has driven. A pair that begins to overlap at the first

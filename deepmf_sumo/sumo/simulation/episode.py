@@ -15,7 +15,7 @@ from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.sumo.simulation import log_only, log_world, traffic_world
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.sumo.simulation.frame import Frame
-from deepmf_sumo.sumo.simulation.gui import Window
+from deepmf_sumo.sumo.simulation.gui import GuiWindow
 from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
 from deepmf_sumo.sumo.simulation.sumo_api import Backend, SumoApi
 from deepmf_sumo.sumo.simulation.world import World
@@ -70,7 +70,7 @@ def simulate(
             return log_only.run(case, planner, policy, rng)
         backend = backend or ("gui" if gui else "libsumo")
         with _opened(case, guarded.model, backend) as (api, world):
-            observers = [Window(api, case.av_id)] if backend == "gui" else []
+            observers = [GuiWindow(api, case.av_id)] if backend == "gui" else []
             return run(case, world, guarded, policy, rng, observers)
 
 

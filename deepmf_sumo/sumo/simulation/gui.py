@@ -17,7 +17,7 @@ _LAST_LOOK_S: Final = 2.0
 """For which the end stays on the screen."""
 
 
-class Window:
+class GuiWindow:
     """Observer of an episode in sumo-gui: the AV is red, its opponents are orange."""
 
     def __init__(self, api: SumoApi, av: AgentId) -> None:

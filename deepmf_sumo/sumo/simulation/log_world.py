@@ -19,7 +19,7 @@ from deepmf_sumo.scene import (
     VehicleModel,
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
-from deepmf_sumo.sumo.simulation.av import LANE_LOST, Av, WayBack
+from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.sumo.simulation.log_plan import (
@@ -302,7 +302,7 @@ class LogWorld:
         self._signals = ReplayedSignals(api, case.net.signals, case.scene.signals, self._log.passed)
         start = logged(self._tracks, self._av_row, self._now)
         length = float(self._tracks.size_m[self._av_row, 0])
-        self.av = Av(api, case.av_id, length, start, self._way_back())
+        self.av = SumoAv(api, case.av_id, length, start, self._way_back())
         width = float(self._tracks.size_m[self._av_row, 1])
         self._ignored = IgnoredVehicles(api, case.av_id, width)
         self._log_drives = False

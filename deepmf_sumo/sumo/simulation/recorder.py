@@ -22,7 +22,7 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.plan import TurnEnd
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.sumo.simulation.contacts import Judge
+from deepmf_sumo.sumo.simulation.contacts import ContactFinder
 from deepmf_sumo.sumo.simulation.frame import Body, Frame
 
 
@@ -175,7 +175,7 @@ class EpisodeRecord:
         self.recorder, self.frame = recorder, frame
         self.now, self.end = recorder.step, recorder.step + duration_steps
         self.schedule = schedule(self.view())
-        self.judge = Judge(av_id, self.schedule.attackers)
+        self.judge = ContactFinder(av_id, self.schedule.attackers)
         self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
 
     @property

@@ -71,7 +71,7 @@ class _Change:
     rear_over: bool = False
 
 
-class _State(NamedTuple):
+class _Shown(NamedTuple):
     lane: str
     front_m: Floats
     rear_m: Floats
@@ -96,7 +96,7 @@ class ShownMotion:
         self._id = vehicle_id
         self._length_m = length_m
         self._shapes: dict[str, Floats] = {}
-        self._before: _State | None = None
+        self._before: _Shown | None = None
         self._changes: list[_Change] = []
         self._handed: Pose | None = None
         self._last: tuple[Pose, str] | None = None
@@ -217,7 +217,7 @@ class ShownMotion:
         ahead = frames.unit(np.array(pose.heading_rad)) * self._length_m
         front = np.array([pose.x_m, pose.y_m]) + ahead / 2
         lane = self._lane()
-        now = _State(lane, front, front - ahead, pose.speed_mps)
+        now = _Shown(lane, front, front - ahead, pose.speed_mps)
         before, self._before = self._before, now
         if before is None or not lane or _edge(lane) != _edge(before.lane):
             self._changes = []
@@ -236,7 +236,7 @@ class ShownMotion:
         except self._api.TraCIException:
             return ""
 
-    def _begin(self, before: _State, now: _State) -> None:
+    def _begin(self, before: _Shown, now: _Shown) -> None:
         """Note a change, unless SUMO spreads it itself or has teleported the vehicle."""
         across = self._across(before.lane, now.lane, now.front_m)
         moved = before.front_m - now.front_m
@@ -244,7 +244,7 @@ class ShownMotion:
         if _jumped(moved, across) and np.hypot(*moved) < explained and not self._askew(before):
             self._changes.append(_Change(origin=before.lane, target=now.lane))
 
-    def _askew(self, state: _State) -> bool:
+    def _askew(self, state: _Shown) -> bool:
         lane_rad = polylines.project(self._line(state.lane), state.front_m).heading_rad
         heading_rad = np.arctan2(*(state.front_m - state.rear_m)[::-1])
         return bool(abs(frames.difference(heading_rad, lane_rad)) > _ASKEW_RAD)
@@ -257,7 +257,7 @@ class ShownMotion:
             change.share = min(change.share - 1.0 / _STEPS, change.share * by_room)
         self._changes = [change for change in self._changes if change.share > 1e-9]
 
-    def _between(self, before: _State, now: _State, pose: Pose) -> Pose:
+    def _between(self, before: _Shown, now: _Shown, pose: Pose) -> Pose:
         """The pose with each bumper at its share of the distance from lane to lane."""
         front, rear = now.front_m.copy(), now.rear_m.copy()
         for change in self._changes:

@@ -71,7 +71,7 @@ class Scouting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class DemandVehicle:
     """A vehicle of the demand.
 
     Attributes:
@@ -109,7 +109,7 @@ class Sightings:
     complete: bool
     persons: bool
     waiting: int
-    bodies: tuple[Body, ...]
+    bodies: tuple[DemandVehicle, ...]
     edges: tuple[str, ...]
     time_s: Floats
     vehicle: Ints
@@ -158,7 +158,7 @@ def growth(number: Sequence[int] | Floats) -> Growth:
 
 
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
-    notes = _Notes(api)
+    notes = _Columns(api)
     begin = now = _begun(api, scouting.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
     until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
@@ -208,12 +208,12 @@ def _moments(begin_s: float, at_s: tuple[float, ...]) -> Iterator[float]:
 
 
 @dataclass
-class _Notes:
+class _Columns:
     """Columns that grow; constants are asked for once."""
 
     api: SumoApi
     bodies: dict[str, tuple[int, float]] = field(default_factory=dict)  # row, length
-    known: list[Body] = field(default_factory=list)
+    known: list[DemandVehicle] = field(default_factory=list)
     edges: dict[str, int] = field(default_factory=dict)
     routes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     lengths: dict[str, float] = field(default_factory=dict)
@@ -278,7 +278,7 @@ class _Notes:
             vehicle = self.api.vehicle
             self.bodies[name] = (len(self.known), float(vehicle.getLength(name)))
             self.known.append(
-                Body(
+                DemandVehicle(
                     id=name,
                     type=vehicle.getTypeID(name).partition("@")[0],
                     permission=vehicle.getVehicleClass(name),

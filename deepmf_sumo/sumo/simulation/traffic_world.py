@@ -22,7 +22,7 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
-from deepmf_sumo.sumo.simulation.av import LANE_LOST, Av, WayBack
+from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
@@ -87,7 +87,7 @@ class TrafficWorld:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
         start = read_pose(api, case.av_id, length)
-        self.av = Av(api, case.av_id, length, start, self._way_back(case.road))
+        self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road))
         self._takeover = Takeover(api, self.events, leaves=True)
         self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy)
         self._signals = LiveSignals(api, signal_links(configuration.net))

@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction
 from deepmf_sumo.scene import AgentId, Floats, Forecast, Futures, View
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes
+from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastTarget, add_shapes
 from deepmf_sumo.training.evaluation.marginal import Marginals
 from deepmf_sumo.training.evaluation.measures import (
     HORIZONS,
@@ -20,7 +20,7 @@ from deepmf_sumo.training.evaluation.measures import (
     nearest_modes,
     path_errors,
 )
-from deepmf_sumo.training.evaluation.table import ALL, Figure, Figures, Key, Samples
+from deepmf_sumo.training.evaluation.table import ALL, Figure, Figures, Key, ObjectValues
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.windows import Future
 
@@ -33,10 +33,10 @@ ATTACKED: Final = "attacked"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
+class PredictedPair:
     """A target, the partner whose future is given, and the predictions of the marginal network."""
 
-    target: Target
+    target: ForecastTarget
     partner: Future
     marginals: Marginals
 
@@ -53,12 +53,12 @@ class ConditionalFigures:
 
     def __init__(self, modes: Sequence[int]) -> None:
         self.modes = modes
-        self.samples = Samples("conditional")
+        self.samples = ObjectValues("conditional")
         self.pairs = 0
         self._before: list[tuple[str, Floats]] = []
-        self._first: list[Pair] = []
+        self._first: list[PredictedPair] = []
 
-    def add(self, conditional: Conditional, pairs: Sequence[Pair]) -> None:
+    def add(self, conditional: Conditional, pairs: Sequence[PredictedPair]) -> None:
         """Add the pairs of one scene."""
         if not pairs:
             return
@@ -88,7 +88,7 @@ class ConditionalFigures:
             found |= self.samples.gains(quantity, sign, f"{quantity}_gain_over_nothing", NOTHING)
         return found
 
-    def _measure_all(self, conditional: Conditional, pairs: Sequence[Pair]) -> None:
+    def _measure_all(self, conditional: Conditional, pairs: Sequence[PredictedPair]) -> None:
         for number, pair in enumerate(pairs):
             same = [moved for role, moved in self._before if role == pair.target.role]
             same = same or [moved for _, moved in self._before]
@@ -96,7 +96,9 @@ class ConditionalFigures:
             shuffled = moved_to(view, agent_id, same[number % len(same)]) if same else None
             self._measure(conditional, pair, shuffled)
 
-    def _measure(self, conditional: Conditional, pair: Pair, shuffled: Futures | None) -> None:
+    def _measure(
+        self, conditional: Conditional, pair: PredictedPair, shuffled: Futures | None
+    ) -> None:
         target = pair.target
         conditions: dict[str, Futures | None] = {NOTHING: None, TRUE: given(pair.partner)}
         if shuffled is not None:
@@ -117,7 +119,7 @@ class ConditionalFigures:
 
     def _add_errors(
         self,
-        target: Target,
+        target: ForecastTarget,
         forecasts: Mapping[int, Forecast],
         condition: str,
         groups: Sequence[str],
@@ -132,7 +134,7 @@ class ConditionalFigures:
     def _add_given_true(
         self,
         prediction: ConditionalPrediction,
-        target: Target,
+        target: ForecastTarget,
         true: Futures | None,
         forecasts: Mapping[int, Forecast],
     ) -> None:

@@ -20,7 +20,7 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.geometry import boxes, road
 from deepmf_sumo.scene.geometry.ground import clear, ground_of
 from deepmf_sumo.training.evaluation.measures import HORIZONS, Measured, nearest_modes
-from deepmf_sumo.training.evaluation.table import NETWORK, Samples
+from deepmf_sumo.training.evaluation.table import NETWORK, ObjectValues
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.windows import Future
 
@@ -38,7 +38,7 @@ Role = Literal["av", "partner"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Target:
+class ForecastTarget:
     """An object to predict.
 
     Attributes:
@@ -66,7 +66,7 @@ class Target:
         return self.scene.source.dataset == ROLLOUT and self.role == "av"
 
 
-def targets(scene: Scene, view: View) -> Iterator[Target]:
+def targets(scene: Scene, view: View) -> Iterator[ForecastTarget]:
     """The labelled vehicles of a scene; without labels, the AV and vehicles that move near it."""
     tracks = view.history
     origin = tracks.position_m[tracks.row(scene.av_id), -1]
@@ -74,7 +74,7 @@ def targets(scene: Scene, view: View) -> Iterator[Target]:
         row = tracks.row(future.agent_id)
         near = np.hypot(*(tracks.position_m[row, -1] - origin)) < NEAR_M
         if future.agent_id in scene.interest or (near and not scene.interest):
-            yield Target(
+            yield ForecastTarget(
                 scene=scene,
                 view=view,
                 future=future,
@@ -85,7 +85,7 @@ def targets(scene: Scene, view: View) -> Iterator[Target]:
             )
 
 
-def first_overlap(target: Target, position_m: Floats, heading_rad: Floats) -> Ints:
+def first_overlap(target: ForecastTarget, position_m: Floats, heading_rad: Floats) -> Ints:
     """(M) first step at which the target's box overlaps another agent's, `NEVER` if none.
 
     Modes are (M, 80, 2) and (M, 80), not finite where unknown. The other agents move as recorded.
@@ -119,7 +119,7 @@ def first_overlap(target: Target, position_m: Floats, heading_rad: Floats) -> In
     return first
 
 
-def first_off_road(target: Target, position_m: Floats) -> Ints:
+def first_off_road(target: ForecastTarget, position_m: Floats) -> Ints:
     """(M) first half second, as a step, at which the centre is off the lanes, `NEVER` if none."""
     steps = np.arange(_EVERY - 1, FUTURE_STEPS, _EVERY)
     positions = position_m[:, steps]  # (M, 16, 2)
@@ -131,7 +131,7 @@ def first_off_road(target: Target, position_m: Floats) -> Ints:
     return np.where(off.any(1), steps[off.argmax(1)], NEVER)
 
 
-def _heights_m(target: Target, position_m: Floats) -> Floats | None:
+def _heights_m(target: ForecastTarget, position_m: Floats) -> Floats | None:
     """(M, S) heights along paths (M, S, 2), which follow the road; None where it has one level.
 
     From a step on at which a path is not known its heights mean nothing.
@@ -144,7 +144,9 @@ def _heights_m(target: Target, position_m: Floats) -> Floats | None:
     return ground.follow(paths, np.full(len(paths), now.z_m[target.row, -1]))[:, 1:]
 
 
-def plausibility(target: Target, position_m: Floats, heading_rad: Floats) -> dict[Measured, Floats]:
+def plausibility(
+    target: ForecastTarget, position_m: Floats, heading_rad: Floats
+) -> dict[Measured, Floats]:
     """(M) up to each horizon: ``overlap_free`` of other agents, and ``on_road``."""
     overlap = first_overlap(target, position_m, heading_rad)
     off_road = first_off_road(target, position_m)
@@ -156,8 +158,8 @@ def plausibility(target: Target, position_m: Floats, heading_rad: Floats) -> dic
 
 
 def add_shapes(
-    samples: Samples,
-    target: Target,
+    samples: ObjectValues,
+    target: ForecastTarget,
     found: Mapping[int, Forecast],
     uncalibrated: Forecast,
     condition: str = NETWORK,

@@ -11,7 +11,7 @@ from deepmf_sumo.deepmf.networks.lanes import path_set, road_index
 from deepmf_sumo.deepmf.networks.predict import Marginal, MarginalPrediction
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast
 from deepmf_sumo.scene.geometry import frames, polylines
-from deepmf_sumo.training.evaluation.forecasts import FEW, Target, add_shapes
+from deepmf_sumo.training.evaluation.forecasts import FEW, ForecastTarget, add_shapes
 from deepmf_sumo.training.evaluation.measures import (
     STEPS,
     Measured,
@@ -25,7 +25,7 @@ from deepmf_sumo.training.evaluation.table import (
     Figure,
     Figures,
     Key,
-    Samples,
+    ObjectValues,
 )
 from deepmf_sumo.training.networks import clusters
 from deepmf_sumo.training.networks.clusters import Clusters
@@ -51,10 +51,10 @@ class MarginalFigures:
 
     def __init__(self, modes: Sequence[int], fitted: Clusters | None) -> None:
         self.modes, self.fitted = modes, fitted
-        self.samples = Samples("marginal")
+        self.samples = ObjectValues("marginal")
         self.targets = 0
 
-    def add(self, marginal: Marginal, target: Target) -> Marginals:
+    def add(self, marginal: Marginal, target: ForecastTarget) -> Marginals:
         """Add one target; returns its predictions for comparison."""
         future = target.future
         prediction = marginal.predict(target.view, target.agent_id)
@@ -71,12 +71,14 @@ class MarginalFigures:
         self.targets += 1
         return Marginals(forecasts=found, log_likelihood=logs)
 
-    def _add_errors(self, modes_m: Floats, target: Target, condition: str = NETWORK) -> None:
+    def _add_errors(
+        self, modes_m: Floats, target: ForecastTarget, condition: str = NETWORK
+    ) -> None:
         errors = final_errors(modes_m, target.future, "min_fde")
         errors |= path_errors(modes_m, target.future, target.speed_mps)
         self.samples.add(errors, len(modes_m), condition)
 
-    def _add_of_horizons(self, prediction: MarginalPrediction, target: Target) -> None:
+    def _add_of_horizons(self, prediction: MarginalPrediction, target: ForecastTarget) -> None:
         """Errors of modes chosen for each horizon; those for 8 s are too far apart at 3 s."""
         for seconds, step in STEPS.items():
             if not target.future.valid[step]:
@@ -90,7 +92,7 @@ class MarginalFigures:
             nearest = nearest_modes(found[FEW], target.future, "_of_horizon", (seconds,))
             self.samples.add(nearest, FEW)
 
-    def _add_baselines(self, target: Target) -> None:
+    def _add_baselines(self, target: ForecastTarget) -> None:
         self._add_errors(constant_velocity(target), target, "constant_velocity")
         self._add_errors(lane_following(target), target, "lane_following")
         if self.fitted is not None:
@@ -102,14 +104,14 @@ class MarginalFigures:
         return {Key("marginal", "targets"): Figure(self.targets), **self.samples.figures()}
 
 
-def constant_velocity(target: Target) -> Floats:
+def constant_velocity(target: ForecastTarget) -> Floats:
     """(1, 80, 2) straight on at the speed and in the direction of now."""
     tracks = target.view.history
     start, velocity = tracks.position_m[target.row, -1], tracks.velocity_mps[target.row, -1]
     return np.asarray((start + _TIMES_S[:, None] * velocity)[None], float)
 
 
-def lane_following(target: Target) -> Floats:
+def lane_following(target: ForecastTarget) -> Floats:
     """(1, 80, 2) along the nearest lane path at the speed of now; straight on without one."""
     tracks = target.view.history
     start = tracks.position_m[target.row, -1]
@@ -126,7 +128,7 @@ def lane_following(target: Target) -> Floats:
     return frames.to_scene(place, start, heading)[None]
 
 
-def map_blind(fitted: Clusters, target: Target, modes: int) -> Floats:
+def map_blind(fitted: Clusters, target: ForecastTarget, modes: int) -> Floats:
     """(M, 80, 2) clusters of how others moved on from this speed and yaw rate."""
     tracks = target.view.history
     start = tracks.position_m[target.row, -1]
@@ -135,6 +137,6 @@ def map_blind(fitted: Clusters, target: Target, modes: int) -> Floats:
     return frames.to_scene(went, start, heading)
 
 
-def _yaw_rate(target: Target) -> float:
+def _yaw_rate(target: ForecastTarget) -> float:
     _, yaw = recent_change(target.view.history, np.array([target.row]), target.view.dt_s)
     return float(yaw[0])

@@ -20,7 +20,7 @@ from deepmf_sumo.training.evaluation.conditional import (
     SHUFFLED,
     TRUE,
     ConditionalFigures,
-    Pair,
+    PredictedPair,
 )
 from deepmf_sumo.training.evaluation.forecasts import FEW, RECORDED, targets
 from deepmf_sumo.training.evaluation.marginal import MarginalFigures
@@ -49,7 +49,7 @@ _NAMED: Final = 20
 
 
 @dataclass(slots=True)
-class Refused:
+class RefusedRecords:
     """Records that could not be used."""
 
     count: int = 0
@@ -80,7 +80,7 @@ def evaluate(
     modes = tuple(sorted({*MODES, candidates}))
     fitted = clusters.read(predictors.folder) if predictors.folder else None
     measured = _Measured(predictors, modes, fitted)
-    refused = Refused()
+    refused = RefusedRecords()
     for scene in _usable(data, refused):
         measured.add(scene)
         if measured.scenes % 20 == 0:
@@ -124,7 +124,7 @@ class _Measured:
         for target in targets(scene, view):
             found = self.marginal.add(self.predictors.marginal, target)
             if target.partner is not None:
-                pairs.append(Pair(target=target, partner=target.partner, marginals=found))
+                pairs.append(PredictedPair(target=target, partner=target.partner, marginals=found))
         self.conditional.add(self.predictors.conditional, pairs)
         self.scenes += 1
         self.attacked += attacked
@@ -135,7 +135,7 @@ class _Measured:
         return self.opponent.figures() | self.marginal.figures() | self.conditional.figures()
 
 
-def _nothing(data: Sequence[Path], refused: Refused) -> str:
+def _nothing(data: Sequence[Path], refused: RefusedRecords) -> str:
     places, why = ", ".join(map(str, data)), ""
     if refused.count:
         why = f" (the first of {refused.count} refused: {refused.reasons[0]})"
@@ -175,7 +175,7 @@ def run(
     return found
 
 
-def _usable(data: Sequence[Path], refused: Refused) -> Iterator[Scene]:
+def _usable(data: Sequence[Path], refused: RefusedRecords) -> Iterator[Scene]:
     for each in readers.scenes(data):
         if isinstance(each, Refusal):
             refused.add(each.file, each.record, each.reason)

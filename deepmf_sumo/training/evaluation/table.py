@@ -63,7 +63,7 @@ class Figure(NamedTuple):
 Figures = dict[Key, Figure]
 
 
-class Samples:
+class ObjectValues:
     """Values of single objects, in the same order under all conditions."""
 
     def __init__(self, network: Network) -> None:

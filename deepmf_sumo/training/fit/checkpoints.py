@@ -88,7 +88,7 @@ def _read(file: Path, device: str) -> dict[str, Any] | None:
     return state
 
 
-class Curves:
+class LearningCurves:
     """One row per evaluation on the held-out samples.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.training.fit.checkpoints import Checkpoints, Curves
+from deepmf_sumo.training.fit.checkpoints import Checkpoints, LearningCurves
 from deepmf_sumo.training.samples.dataset import Arrays, Dataset, Progress, batches
 
 Loss = Callable[[dict[str, Tensor], torch.Generator], Tensor]
@@ -54,7 +54,7 @@ class Schedule:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class TrainingOutcome:
     """The result of a training.
 
     Attributes:
@@ -93,9 +93,9 @@ def train(
     loss: Loss,
     schedule: Schedule,
     checkpoints: Checkpoints,
-    curves: Curves,
+    curves: LearningCurves,
     report: Progress,
-) -> Outcome:
+) -> TrainingOutcome:
     """Minimise the loss, starting from the last checkpoint if there is one.
 
     Checkpoints stay; the caller removes them after writing the weights.
@@ -131,7 +131,7 @@ def train(
 
 
 @dataclass(slots=True)
-class _State:
+class _Progress:
     """Progress of a training, without the tensors."""
 
     step: int = 0
@@ -158,7 +158,7 @@ class _Run:
     """A network under training."""
 
     def __init__(self, net: nn.Module, schedule: Schedule) -> None:
-        self.net, self.schedule, self.state = net, schedule, _State()
+        self.net, self.schedule, self.state = net, schedule, _Progress()
         self.optimiser = torch.optim.AdamW(_groups(net, schedule), betas=(0.9, 0.99))
         self.cycle = torch.optim.lr_scheduler.OneCycleLR(
             self.optimiser,
@@ -217,7 +217,7 @@ class _Run:
             "cycle": self.cycle.state_dict(),
             "average": self.average,
             "best": self.best,
-            "state": {name: getattr(self.state, name) for name in _State.__slots__},
+            "state": {name: getattr(self.state, name) for name in _Progress.__slots__},
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
@@ -226,12 +226,12 @@ class _Run:
         self.optimiser.load_state_dict(saved["optimiser"])
         self.cycle.load_state_dict(saved["cycle"])
         self.average, self.best = saved["average"], saved["best"]
-        self.state = _State(**saved["state"])
+        self.state = _Progress(**saved["state"])
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> TrainingOutcome:
         """The result of a training."""
         state = self.state
-        return Outcome(
+        return TrainingOutcome(
             held_out=None if np.isinf(state.best) else state.best,
             by_source=state.best_by_source,
             best_step=state.best_step,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.training.generated import demand, motorway, roundabouts, street_graph
-from deepmf_sumo.training.generated.layout import Layout, build
+from deepmf_sumo.training.generated.layout import GeneratedLayout, build
 from deepmf_sumo.training.generated.street_attributes import dress
 
 __all__ = ["KINDS", "MIX", "generate", "kinds_of"]
@@ -15,8 +15,8 @@ __all__ = ["KINDS", "MIX", "generate", "kinds_of"]
 
 def _streets(
     make: Callable[[np.random.Generator], street_graph.StreetGraph],
-) -> Callable[[np.random.Generator], Layout]:
-    def layout(rng: np.random.Generator) -> Layout:
+) -> Callable[[np.random.Generator], GeneratedLayout]:
+    def layout(rng: np.random.Generator) -> GeneratedLayout:
         dressed = dress(make(rng), rng)
         roundabouts.add(dressed, rng)
         return dressed
@@ -24,7 +24,7 @@ def _streets(
     return layout
 
 
-_MAKERS: Final[dict[str, Callable[[np.random.Generator], Layout]]] = {
+_MAKERS: Final[dict[str, Callable[[np.random.Generator], GeneratedLayout]]] = {
     "grid": _streets(street_graph.grid),
     "spider": _streets(street_graph.spider),
     "random": _streets(street_graph.random_net),

@@ -7,7 +7,7 @@ import numpy as np
 
 from deepmf_sumo.scene import Bools, Floats, Ints
 from deepmf_sumo.sumo.network.sumo_net import read_once
-from deepmf_sumo.training.generated.layout import Layout
+from deepmf_sumo.training.generated.layout import GeneratedLayout
 
 _LONGEST_S: Final = 900.0
 """Latest departure of a trip."""
@@ -38,7 +38,9 @@ _LENGTH_M: Final = {"passenger": 5.0, "delivery": 6.5, "truck": 12.0, "bus": 12.
 """Length for which SUMO needs room at insertion; the vehicle itself is drawn later."""
 
 
-def write(layout: Layout, net: Path, folder: Path, name: str, rng: np.random.Generator) -> Path:
+def write(
+    layout: GeneratedLayout, net: Path, folder: Path, name: str, rng: np.random.Generator
+) -> Path:
     """Write trips and a configuration ``NAME.sumocfg``; returns it."""
     reach = _reach(layout, net)
     routes = folder / f"{name}.rou.xml"
@@ -65,7 +67,7 @@ def _depart(line: str) -> float:
     return float(line.split('depart="', 1)[1].split('"', 1)[0])
 
 
-def _reach(layout: Layout, net: Path) -> dict[str, set[str]]:
+def _reach(layout: GeneratedLayout, net: Path) -> dict[str, set[str]]:
     """Edges that can be reached from each edge: vehicles without a route block the road in SUMO."""
     after: dict[str, set[str]] = {}
     for link in read_once(net).links:
@@ -83,7 +85,9 @@ def _reach(layout: Layout, net: Path) -> dict[str, set[str]]:
     return reach
 
 
-def _trips(layout: Layout, reach: dict[str, set[str]], rng: np.random.Generator) -> list[str]:
+def _trips(
+    layout: GeneratedLayout, reach: dict[str, set[str]], rng: np.random.Generator
+) -> list[str]:
     """Departures at a rate that keeps the drawn number of vehicles on the lanes."""
     names, edges = list(layout.edges), list(layout.edges.values())
     length = np.array([layout.length_m(name) for name in names])
@@ -144,7 +148,7 @@ def _targets(
     return targets
 
 
-def _ends(layout: Layout) -> tuple[Bools, Bools]:
+def _ends(layout: GeneratedLayout) -> tuple[Bools, Bools]:
     """Edges that start outside the net, and edges that end there."""
     edges = list(layout.edges.values())
     beside: dict[str, set[str]] = {}
@@ -159,7 +163,7 @@ def _ends(layout: Layout) -> tuple[Bools, Bools]:
 
 
 def _parked(
-    layout: Layout, net: Path, reach: dict[str, set[str]], rng: np.random.Generator
+    layout: GeneratedLayout, net: Path, reach: dict[str, set[str]], rng: np.random.Generator
 ) -> list[str]:
     """Cars beside slow streets; some of them pull out while the others stay."""
     per_km = rng.choice([0.0, 5.0, 15.0, 30.0])

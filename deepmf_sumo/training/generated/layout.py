@@ -50,7 +50,7 @@ class Edge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Connection:
+class LaneConnection:
     """A connection of two lanes of successive edges; lanes count from the right."""
 
     origin: str
@@ -60,7 +60,7 @@ class Connection:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Layout:
+class GeneratedLayout:
     """A whole network.
 
     Attributes:
@@ -71,7 +71,7 @@ class Layout:
 
     nodes: dict[str, Node] = field(default_factory=dict)
     edges: dict[str, Edge] = field(default_factory=dict)
-    connections: list[Connection] = field(default_factory=list)
+    connections: list[LaneConnection] = field(default_factory=list)
     roundabouts: list[tuple[list[str], list[str]]] = field(default_factory=list)
     options: tuple[str, ...] = ()
 
@@ -88,7 +88,7 @@ class Layout:
         return float(polylines.arc_lengths(self.shape_m(edge_id))[-1])
 
 
-def build(layout: Layout, folder: Path) -> Path:
+def build(layout: GeneratedLayout, folder: Path) -> Path:
     """Write the plain XML and run netconvert; returns the net's file.
 
     Raises ConversionError where netconvert refuses.
@@ -103,7 +103,7 @@ def build(layout: Layout, folder: Path) -> Path:
     return file
 
 
-def _nodes(layout: Layout) -> str:
+def _nodes(layout: GeneratedLayout) -> str:
     lines = [
         f'<node id={quoteattr(name)} x="{node.position_m[0]:.2f}" y="{node.position_m[1]:.2f}"'
         f' type="{node.kind}"/>'
@@ -112,7 +112,7 @@ def _nodes(layout: Layout) -> str:
     return "\n".join(["<nodes>", *lines, "</nodes>", ""])
 
 
-def _edges(layout: Layout) -> str:
+def _edges(layout: GeneratedLayout) -> str:
     lines = []
     for name, edge in layout.edges.items():
         lanes = edge.lanes + (edge.turn_lane_m > 0)
@@ -130,7 +130,7 @@ def _edges(layout: Layout) -> str:
     return "\n".join(["<edges>", *lines, "</edges>", ""])
 
 
-def _connections(layout: Layout) -> str:
+def _connections(layout: GeneratedLayout) -> str:
     lines = [
         f"<connection from={quoteattr(one.origin)} to={quoteattr(one.target)}"
         f' fromLane="{one.origin_lane}" toLane="{one.target_lane}"/>'

@@ -7,7 +7,7 @@ import numpy as np
 
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry import polylines
-from deepmf_sumo.training.generated.layout import Connection, Edge, Layout, Node
+from deepmf_sumo.training.generated.layout import Edge, GeneratedLayout, LaneConnection, Node
 
 _GAP_M: Final = 5.0
 """From a carriageway's left border to the middle of the motorway."""
@@ -15,18 +15,18 @@ _SPACING_M: Final = 20.0
 _EXIT_SHARE: Final = 0.6
 
 
-def motorway(rng: np.random.Generator) -> Layout:
+def motorway(rng: np.random.Generator) -> GeneratedLayout:
     """Two carriageways with separate ramps along one gently curved line."""
     lanes, limit_mps = int(rng.integers(2, 5)), float(rng.choice([24.6, 26.8, 29.1, 31.3]))
     line = _curved(rng, length_m=rng.uniform(1300.0, 1900.0))
-    layout = Layout(options=("--default.lanewidth", f"{rng.uniform(3.4, 3.75):.2f}"))
+    layout = GeneratedLayout(options=("--default.lanewidth", f"{rng.uniform(3.4, 3.75):.2f}"))
     _carriageway(layout, "e", _beside(line, -_GAP_M), lanes, limit_mps, rng)
     _carriageway(layout, "w", _beside(line[::-1], -_GAP_M), lanes, limit_mps, rng)
     return layout
 
 
 def _carriageway(
-    layout: Layout,
+    layout: GeneratedLayout,
     name: str,
     line: Floats,
     lanes: int,
@@ -63,11 +63,11 @@ def _carriageway(
         place, before, along, extra = onward, here, end, entry
 
 
-def _join(layout: Layout, before: str, here: str, lanes: int, shift: int) -> None:
+def _join(layout: GeneratedLayout, before: str, here: str, lanes: int, shift: int) -> None:
     """Main lanes continue side by side; the additional lane is on the right."""
     for lane in range(lanes):
         layout.connections.append(
-            Connection(
+            LaneConnection(
                 origin=before,
                 target=here,
                 origin_lane=lane + (shift < 0),
@@ -76,14 +76,16 @@ def _join(layout: Layout, before: str, here: str, lanes: int, shift: int) -> Non
         )
 
 
-def _close(layout: Layout, before: str, here: str, place: str) -> None:
+def _close(layout: GeneratedLayout, before: str, here: str, place: str) -> None:
     """The additional lane ends: vehicles of the two right lanes merge alternately."""
     layout.nodes[place] = replace(layout.nodes[place], kind="zipper")
-    layout.connections.append(Connection(origin=before, target=here, origin_lane=0, target_lane=0))
+    layout.connections.append(
+        LaneConnection(origin=before, target=here, origin_lane=0, target_lane=0)
+    )
 
 
 def _ramp(
-    layout: Layout,
+    layout: GeneratedLayout,
     beside: str,
     place: str,
     line: Floats,
@@ -111,12 +113,12 @@ def _ramp(
         layout.edges[ramp] = Edge(
             origin=far, target=place, lanes=1, speed_mps=speed, priority=3, shape_m=shape[::-1]
         )
-        link = Connection(origin=ramp, target=beside, origin_lane=0, target_lane=0)
+        link = LaneConnection(origin=ramp, target=beside, origin_lane=0, target_lane=0)
     else:
         layout.edges[ramp] = Edge(
             origin=place, target=far, lanes=1, speed_mps=speed, priority=3, shape_m=shape
         )
-        link = Connection(origin=beside, target=ramp, origin_lane=0, target_lane=0)
+        link = LaneConnection(origin=beside, target=ramp, origin_lane=0, target_lane=0)
     layout.connections.append(link)
 
 
@@ -143,7 +145,7 @@ def _cut(line: Floats, start_m: float, end_m: float) -> Floats:
     return polylines.points_at(line, np.linspace(start_m, end_m, count))[0]
 
 
-def _node(layout: Layout, name: str, line: Floats, along_m: float) -> str:
+def _node(layout: GeneratedLayout, name: str, line: Floats, along_m: float) -> str:
     place = f"{name}_at"
     x, y = polylines.points_at(line, np.array(along_m))[0]
     layout.nodes[place] = Node(position_m=(float(x), float(y)))

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.training.generated.layout import Edge, Layout, Node
+from deepmf_sumo.training.generated.layout import Edge, GeneratedLayout, Node
 
 _ARMS: Final = (3, 4, 5)
 _LEAST_ARM_M: Final = 70.0
@@ -16,7 +16,7 @@ _PRIORITY: Final = 20
 """Above every street's: traffic in the ring goes first."""
 
 
-def add(layout: Layout, rng: np.random.Generator) -> None:
+def add(layout: GeneratedLayout, rng: np.random.Generator) -> None:
     """Turn junctions with enough room into roundabouts, each with the same probability."""
     for place in list(layout.nodes):
         out = [name for name, edge in layout.edges.items() if edge.origin == place]
@@ -28,7 +28,7 @@ def add(layout: Layout, rng: np.random.Generator) -> None:
             _ring(layout, place, radius_m, rng.uniform(6.5, 9.0))
 
 
-def _ring(layout: Layout, place: str, radius_m: float, speed_mps: float) -> None:
+def _ring(layout: GeneratedLayout, place: str, radius_m: float, speed_mps: float) -> None:
     centre = np.array(layout.nodes.pop(place).position_m)
     bearing = {}
     for edge in layout.edges.values():
@@ -56,7 +56,7 @@ def _ring(layout: Layout, place: str, radius_m: float, speed_mps: float) -> None
     layout.roundabouts.append(([at[arm] for arm in arms], ring))
 
 
-def _shorten_arms(layout: Layout, place: str, at: dict[str, str]) -> int:
+def _shorten_arms(layout: GeneratedLayout, place: str, at: dict[str, str]) -> int:
     """Let the streets end at the ring's nodes; returns the number of lanes of the widest one."""
     wide = 1
     for name, edge in list(layout.edges.items()):

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.training.generated.layout import Edge, Layout, Node
+from deepmf_sumo.training.generated.layout import Edge, GeneratedLayout, Node
 from deepmf_sumo.training.generated.street_graph import StreetGraph
 
 _STRAIGHT_RAD: Final = 0.6
@@ -27,9 +27,9 @@ _TURN_LANE_SHARE: Final = 0.5
 Street = tuple[str, str]
 
 
-def dress(graph: StreetGraph, rng: np.random.Generator) -> Layout:
+def dress(graph: StreetGraph, rng: np.random.Generator) -> GeneratedLayout:
     """A network with random lanes, limits, bends and junctions on the given streets."""
-    layout = Layout(options=_options(rng))
+    layout = GeneratedLayout(options=_options(rng))
     arms = graph.arms()
     lanes, limits = {}, {}
     for course in _courses(graph):

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from deepmf_sumo.baselines.priors import costs
 from deepmf_sumo.baselines.priors.bicycle import SUBSTEPS
-from deepmf_sumo.baselines.priors.strive import Context, Gaussian, MotionPrior, Motions
+from deepmf_sumo.baselines.priors.strive import Context, DecodedMotions, Gaussian, MotionPrior
 from deepmf_sumo.training.fit.loop import Loss, tensors
 from deepmf_sumo.training.samples.dataset import Dataset
 
@@ -76,7 +76,7 @@ def _known(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     return known, weight
 
 
-def _error(motions: Motions, future: Tensor, known: Tensor) -> Tensor:
+def _error(motions: DecodedMotions, future: Tensor, known: Tensor) -> Tensor:
     """(B, N) mean error over the known steps."""
     away = ((motions.position - future[..., :2]).square().sum(-1) + 1e-6).sqrt()
     far = functional.smooth_l1_loss(away, torch.zeros_like(away), reduction="none")
@@ -178,7 +178,7 @@ def _of_batch(
     return torch.stack([reconstructed, central, least, least_at_last], dim=-1)[moves]
 
 
-def _distances(motions: Motions, batch: dict[str, Tensor]) -> Tensor:
+def _distances(motions: DecodedMotions, batch: dict[str, Tensor]) -> Tensor:
     """(B, N, 16) metres from the futures, every 0.5 s."""
     position = motions.position[:, :, SUBSTEPS - 1 :: SUBSTEPS]
     distance: Tensor = (position - batch["future"][..., :2]).norm(dim=-1)

@@ -44,7 +44,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class RecordingTask:
     """One network; ``config`` is None for the generated network ``number``."""
 
     name: str
@@ -86,7 +86,7 @@ def record_all(wanted: Wanted, out: Path, jobs: int) -> Iterator[Recorded]:
             yield _recorded(missing[end.index], end.reason)
 
 
-def record_network(task: Task) -> None:
+def record_network(task: RecordingTask) -> None:
     """Record one network; its folder appears when it is complete, with at least one scene."""
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         config = task.config or generated.generate(
@@ -111,7 +111,7 @@ def _write(recording: Recording, most: int, folder: Path) -> int:
     return written
 
 
-def _recording(task: Task, config: Path) -> Recording:
+def _recording(task: RecordingTask, config: Path) -> Recording:
     wanted = task.wanted
     # some moments have no possible AV, and so give no scene
     moments = 10 + 3 * wanted.scenes // wanted.avs
@@ -127,9 +127,9 @@ def _recording(task: Task, config: Path) -> Recording:
     )
 
 
-def _tasks(wanted: Wanted, out: Path) -> list[Task]:
-    def task(name: str, config: Path | None, kind: str, number: int) -> Task:
-        return Task(
+def _tasks(wanted: Wanted, out: Path) -> list[RecordingTask]:
+    def task(name: str, config: Path | None, kind: str, number: int) -> RecordingTask:
+        return RecordingTask(
             name=name, config=config, kind=kind, number=number, out=out / name, wanted=wanted
         )
 
@@ -170,7 +170,7 @@ def _claim(wanted: Wanted, out: Path) -> None:
         raise OutputError(f"'{out}' cannot be written: {error.strerror}.") from None
 
 
-def _recorded(task: Task, reason: str = "") -> Recorded:
+def _recorded(task: RecordingTask, reason: str = "") -> Recorded:
     scenes = len(list(task.out.glob("*.npz"))) if task.out.is_dir() else 0
     if not scenes and not reason:
         reason = "no vehicle moves for 9 s with others around"

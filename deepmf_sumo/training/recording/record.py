@@ -19,7 +19,7 @@ from deepmf_sumo.sumo.simulation.sumo_api import STEP_OPTIONS, SumoApi, running,
 from deepmf_sumo.sumo.simulation.sumo_config import Configuration, read_configuration
 from deepmf_sumo.sumo.simulation.sumo_outputs import confined
 from deepmf_sumo.training.recording.driver_population import DriverMix
-from deepmf_sumo.training.recording.scenes import Moment, Recording, Scenes
+from deepmf_sumo.training.recording.scenes import Recording, Scenes, TrafficState
 
 __all__ = ["Recording", "record"]
 
@@ -84,7 +84,7 @@ def _scenes(
     links = signal_links(configuration.net)
     lights = LiveSignals(api, links)
     scenes = Scenes(recording, road, links)
-    window: deque[Moment] = deque(maxlen=_STEPS)
+    window: deque[TrafficState] = deque(maxlen=_STEPS)
     stride = round(recording.every_s / DT_S)
     begin = round(recording.start_s / DT_S)
     step = round(api.simulation.getTime() / DT_S)
@@ -97,7 +97,7 @@ def _scenes(
             continue
         since = (step - begin + 1 - _STEPS) % stride
         if -since % stride < _STEPS:  # other steps are not part of any scene
-            window.append(Moment(states=reader.states(), signals=lights.states()))
+            window.append(TrafficState(states=reader.states(), signals=lights.states()))
         if len(window) == _STEPS and since == 0:
             yield from scenes.of(list(window), reader.body, step * DT_S - 9.0, rng)
         if api.simulation.getMinExpectedNumber() == 0:

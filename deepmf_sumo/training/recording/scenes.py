@@ -77,7 +77,7 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class TrafficState:
     """State of the traffic at one step: x, y, heading, speed and z as SUMO has them."""
 
     states: dict[AgentId, tuple[float, float, float, float, float]]
@@ -109,7 +109,7 @@ class Scenes:
 
     def of(
         self,
-        window: list[Moment],
+        window: list[TrafficState],
         body: Callable[[AgentId], Body],
         time_s: float,
         rng: np.random.Generator,
@@ -124,7 +124,7 @@ class Scenes:
             yield self._scene(name, window, tracks, cast)
             self._taken += 1
 
-    def _scene(self, name: str, window: list[Moment], tracks: Tracks, cast: Cast) -> Scene:
+    def _scene(self, name: str, window: list[TrafficState], tracks: Tracks, cast: Cast) -> Scene:
         way_m = tracks.position_m[tracks.row(cast.av_id), ::5]
         road = self._excerpts.near(way_m, self._recording.map_radius_m)
         stops = {lane: stop for lane, stop in self._stops.items() if lane in road.lanes}
@@ -149,7 +149,7 @@ class Scenes:
         return Source(dataset=SIMULATED, file=file, record=self._taken, sha256=digest.hexdigest())
 
 
-def _tracks(window: list[Moment], body: Callable[[AgentId], Body]) -> Tracks:
+def _tracks(window: list[TrafficState], body: Callable[[AgentId], Body]) -> Tracks:
     ids = sorted({agent for moment in window for agent in moment.states})
     state = np.zeros((len(ids), len(window), 5))
     valid = np.zeros((len(ids), len(window)), bool)
@@ -174,7 +174,7 @@ def _tracks(window: list[Moment], body: Callable[[AgentId], Body]) -> Tracks:
     return smooth(raw)
 
 
-def _signals(window: list[Moment], stops: dict[str, Floats]) -> Signals:
+def _signals(window: list[TrafficState], stops: dict[str, Floats]) -> Signals:
     state = np.array(
         [[int(moment.signals.get(lane, 0)) for moment in window] for lane in stops], np.uint8
     ).reshape(len(stops), len(window))

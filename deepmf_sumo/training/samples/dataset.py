@@ -11,7 +11,7 @@ from deepmf_sumo.deepmf.networks.encode import OwnMotion
 from deepmf_sumo.deepmf.networks.lanes import PathInfo
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import RunError
-from deepmf_sumo.training.samples.places import Area, held_out
+from deepmf_sumo.training.samples.places import SceneArea, held_out
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[str], None]
@@ -23,7 +23,7 @@ networks cut a batch to the paths that it uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Source:
+class SampleSource:
     """The samples of one file or folder of recordings.
 
     Attributes:
@@ -40,7 +40,7 @@ class Source:
     arrays: Arrays
     scene: NDArray[np.int64]
     scenes: Sequence[str]
-    areas: Sequence[Area]
+    areas: Sequence[SceneArea]
     refused: Mapping[str, str]
     digest: str
     weight: float | None = None
@@ -89,7 +89,7 @@ class Dataset:
         chosen: (N) samples to use; None uses all.
     """
 
-    sources: tuple[Source, ...]
+    sources: tuple[SampleSource, ...]
     arrays: Mapping[str, Joined]
     scene: NDArray[np.int64]
     origin: NDArray[np.int64]
@@ -143,7 +143,7 @@ class Dataset:
         return list(found)
 
 
-def mix(sources: Sequence[Source]) -> Dataset:
+def mix(sources: Sequence[SampleSource]) -> Dataset:
     """All samples of sources with the same features."""
     lengths = [len(source.scene) for source in sources]
     firsts = np.cumsum([0, *(len(source.scenes) for source in sources)])

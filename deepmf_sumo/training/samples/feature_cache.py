@@ -26,8 +26,8 @@ from deepmf_sumo.errors import OutputError, ReaderError, RunError
 from deepmf_sumo.files import inside, opened
 from deepmf_sumo.scene import Scene, readers
 from deepmf_sumo.scene.readers.base import Refusal
-from deepmf_sumo.training.samples.dataset import Arrays, Progress, Source
-from deepmf_sumo.training.samples.places import Area, area_of
+from deepmf_sumo.training.samples.dataset import Arrays, Progress, SampleSource
+from deepmf_sumo.training.samples.places import SceneArea, area_of
 
 VERSION: Final = 5
 """Increased when features change, so that older caches are not read."""
@@ -71,7 +71,7 @@ class Contents:
 
     count: int = 0
     scenes: list[str] = field(default_factory=list)
-    areas: list[Area] = field(default_factory=list)
+    areas: list[SceneArea] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
     arrays: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
 
@@ -83,13 +83,13 @@ class Contents:
     def read(cls, folder: Path) -> Self:
         """The index of a folder."""
         content = json.loads((folder / "index.json").read_text(encoding="utf-8"))
-        content["areas"] = [Area.read(each) for each in content["areas"]]
+        content["areas"] = [SceneArea.read(each) for each in content["areas"]]
         return cls(**content)
 
 
 def open_or_build(
     features: Features, data: Data, root: Path, report: Progress, jobs: int = 1
-) -> Source:
+) -> SampleSource:
     """The features of recordings; if they are missing, ``jobs`` processes compute them.
 
     ``root`` is the folder of all caches.
@@ -119,7 +119,7 @@ def open_or_build(
     return _source(folder, contents, data, digest)
 
 
-def _source(folder: Path, contents: Contents, data: Data, digest: str) -> Source:
+def _source(folder: Path, contents: Contents, data: Data, digest: str) -> SampleSource:
     """The arrays of a folder, memory-mapped."""
     arrays: Arrays = {
         name: np.memmap(
@@ -127,7 +127,7 @@ def _source(folder: Path, contents: Contents, data: Data, digest: str) -> Source
         )
         for name, (dtype, shape) in contents.arrays.items()
     }
-    return Source(
+    return SampleSource(
         name=data.path.name,
         scene=np.array(arrays.pop("scene")),
         arrays=arrays,

@@ -30,7 +30,7 @@ MOST: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Area:
+class SceneArea:
     """Where the vehicles of a scene were.
 
     Attributes:
@@ -48,7 +48,7 @@ class Area:
         return cls(record["frame"], tuple((int(x), int(y)) for x, y in record["cells"]))
 
 
-def area_of(scene: Scene) -> Area:
+def area_of(scene: Scene) -> SceneArea:
     """The area of a scene.
 
     Each network has its own frame: scenes of SUMO traffic name a configuration or a generated
@@ -59,10 +59,10 @@ def area_of(scene: Scene) -> Area:
     cells = np.unique(np.floor(scene.tracks.position_m[seen] / CELL_M).astype(int), axis=0)
     source = Path(scene.source.file)
     name = source.name if source.suffix in {"", ".sumocfg"} else ""
-    return Area(name, tuple((x, y) for x, y in cells.tolist()))
+    return SceneArea(name, tuple((x, y) for x, y in cells.tolist()))
 
 
-def numbered(areas: Sequence[Area]) -> NDArray[np.int64]:
+def numbered(areas: Sequence[SceneArea]) -> NDArray[np.int64]:
     """(S) number of the place of each scene, counted in the order of the scenes."""
     place = np.zeros(len(areas), np.int64)
     first = 0
@@ -97,7 +97,9 @@ def _connected(cells: Sequence[Iterable[tuple[int, int]]]) -> NDArray[np.int64]:
     return groups
 
 
-def held_out(areas: Sequence[Area], samples: NDArray[np.int64]) -> tuple[NDArray[np.bool_], bool]:
+def held_out(
+    areas: Sequence[SceneArea], samples: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], bool]:
     """(S) whether each scene is held out, and whether that separates places.
 
     About one place in ten of those with samples is held out, which ones depends on where they are.
@@ -131,7 +133,7 @@ def held_out(areas: Sequence[Area], samples: NDArray[np.int64]) -> tuple[NDArray
     return np.isin(place, chosen), True
 
 
-def _draws(areas: Sequence[Area], place: NDArray[np.int64]) -> list[int]:
+def _draws(areas: Sequence[SceneArea], place: NDArray[np.int64]) -> list[int]:
     """A number of each place that depends on its first cell alone."""
     first: dict[int, tuple[str, tuple[int, int]]] = {}
     for area, number in zip(areas, place.tolist(), strict=True):

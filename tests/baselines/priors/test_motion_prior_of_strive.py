@@ -79,7 +79,9 @@ def test_graphs_do_not_depend_on_the_scenes_frame():
 
 def test_constant_controls_drive_a_circle_at_constant_speed():
     speed, curvature = torch.tensor([10.0]), torch.tensor([0.02])
-    state = bicycle.State(torch.zeros(1, 2), torch.zeros(1), speed, torch.zeros(1), curvature)
+    state = bicycle.BicycleState(
+        torch.zeros(1, 2), torch.zeros(1), speed, torch.zeros(1), curvature
+    )
     for _ in range(bicycle.CONTROLS):
         state, leg = bicycle.advance(state, torch.zeros(1), curvature)
     angle = 80 * 0.02

@@ -51,7 +51,9 @@ def _change_shard(rng: random.Random, path: Path) -> None:
     if rng.random() < 0.3:  # the framing
         mutators.file(rng, path)
         return
-    payloads = [one.payload for one in _tfrecord.records(path) if isinstance(one, _tfrecord.Record)]
+    payloads = [
+        one.payload for one in _tfrecord.records(path) if isinstance(one, _tfrecord.TfRecord)
+    ]
     at = rng.randrange(len(payloads))
     if rng.random() < 0.4:
         payloads[at] = mutators.damage(rng, payloads[at])

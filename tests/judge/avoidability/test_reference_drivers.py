@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.judge.avoidability import reference_drivers
-from deepmf_sumo.judge.avoidability.av_path import AvPath, State
+from deepmf_sumo.judge.avoidability.av_path import AvPath, VehicleState
 from deepmf_sumo.judge.avoidability.grading import avoidable
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach, drive
 
@@ -20,12 +20,12 @@ def leaders(gap_m, speed_mps, left_m=0.0, aside_mps=0.0, steps=STEPS, heading=0.
     seconds = np.arange(steps + 1) * DT
     x = gap_m + CAR[0] + speed_mps * seconds
     y = np.sign(left_m) * np.maximum(abs(left_m) - aside_mps * seconds, 0.0)
-    now = State(np.array([x[0], y[0]]), heading, speed_mps)
+    now = VehicleState(np.array([x[0], y[0]]), heading, speed_mps)
     return now, np.stack([x, y], -1)[None, 1:], np.full((1, steps), heading)
 
 
 def avoids(by, speed_mps, now, position, heading, path=None):
-    start = State(np.zeros(2), 0.0, speed_mps)
+    start = VehicleState(np.zeros(2), 0.0, speed_mps)
     path = np.empty((0, 2)) if path is None else path
     return bool(avoidable(start, CAR, path, now, CAR, position, heading, DT, by)[0])
 
@@ -84,7 +84,7 @@ def test_a_crossing_car_is_let_through():
     seconds = np.arange(1, STEPS + 1) * DT
     x, speed = 40.0, 10.0
     position = np.stack([np.full(STEPS, x), -40.0 + speed * seconds], -1)[None]
-    now = State(np.array([x, -40.0]), np.pi / 2, speed)
+    now = VehicleState(np.array([x, -40.0]), np.pi / 2, speed)
     crossing = now, position, np.full((1, STEPS), np.pi / 2)
     assert avoids("all", 10.0, *crossing)
     unaware = np.abs(10.0 * seconds - x) + np.abs(position[0, :, 1])
@@ -157,8 +157,8 @@ def test_more_gap_is_never_worse(by, speed, closing, steps):
 def test_the_frame_does_not_matter(angle, shift, gap):
     now, position, heading = leaders(gap, 8.0, left_m=3.5, aside_mps=1.2)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    start = State(np.full(2, shift), angle, 15.0)
-    moved = State(now.position_m @ turn + shift, now.heading_rad + angle, now.speed_mps)
+    start = VehicleState(np.full(2, shift), angle, 15.0)
+    moved = VehicleState(now.position_m @ turn + shift, now.heading_rad + angle, now.speed_mps)
     there = avoidable(
         start, CAR, np.empty((0, 2)), moved, CAR, position @ turn + shift, heading + angle, DT
     )
@@ -172,7 +172,7 @@ def test_many_futures_at_once_are_the_same_as_one_by_one():
     x = now.position_m[0] + rng.uniform(0, 12, (8, 1)) * seconds
     y = 3.5 - np.minimum(rng.uniform(0, 3, (8, 1)) * seconds, 3.5)
     position, heading = np.stack([x, y], -1), np.zeros((8, STEPS))
-    start = State(np.zeros(2), 0.0, 14.0)
+    start = VehicleState(np.zeros(2), 0.0, 14.0)
     for by in ("any", "all", "rss"):
         together = avoidable(start, CAR, np.empty((0, 2)), now, CAR, position, heading, DT, by)
         alone = [
@@ -232,7 +232,7 @@ def test_any_and_all_are_what_each_driver_says():
     y = 3.5 - np.minimum(rng.uniform(0, 4, (40, 1)) * seconds, 3.5)
     futures = np.stack([x, y], -1), np.zeros((40, STEPS))
     expected = np.stack([now.position_m[0] + 8.0 * np.arange(81) * DT, np.full(81, 3.5)], -1)
-    start = State(np.zeros(2), 0.0, 14.0)
+    start = VehicleState(np.zeros(2), 0.0, 14.0)
 
     def by(who):
         known = (start, CAR, np.empty((0, 2)), now, CAR, *futures, DT, who)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.judge.metrics.conflict import Moving, time_to_collision
+from deepmf_sumo.judge.metrics.conflict import MovingBox, time_to_collision
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.road import on_road
 
@@ -92,8 +92,8 @@ def test_time_to_collision_against_stepping(seed):
     place = rng.uniform(-25, 25, (2, count, 2))
     heading, velocity = rng.uniform(-3, 3, (2, count)), rng.uniform(-8, 8, (2, count, 2))
     fast = time_to_collision(
-        Moving(place[0], heading[0], velocity[0], size_a),
-        Moving(place[1], heading[1], velocity[1], size_b),
+        MovingBox(place[0], heading[0], velocity[0], size_a),
+        MovingBox(place[1], heading[1], velocity[1], size_b),
     )
     moved = place[:, :, None] + velocity[:, :, None] * seconds[:, None]
     hit = boxes.overlap(

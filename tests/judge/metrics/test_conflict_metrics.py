@@ -5,7 +5,7 @@ import pytest
 
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics import conflict
-from deepmf_sumo.judge.metrics.conflict import Moving, braking_to_stay_behind, time_to_collision
+from deepmf_sumo.judge.metrics.conflict import MovingBox, braking_to_stay_behind, time_to_collision
 from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
@@ -99,7 +99,7 @@ def test_required_braking_against_stepping(seed):
     place = np.stack([np.zeros((count, 2)), away + rng.uniform(-3, 3, (count, 2))])
     velocity = speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     slowing = np.where(rng.random(count) < 0.5, 0.0, rng.uniform(0, 5, count))
-    me, other = (Moving(place[i], heading[i], velocity[i], SIZE) for i in (0, 1))
+    me, other = (MovingBox(place[i], heading[i], velocity[i], SIZE) for i in (0, 1))
     needed = braking_to_stay_behind(me, other, slowing, time_to_collision(me, other))
     some = np.isfinite(needed) & (needed > 0.2)
     assert some.sum() > 15

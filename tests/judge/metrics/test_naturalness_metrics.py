@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics import _slices, naturalness
-from deepmf_sumo.judge.metrics.naturalness import Samples
+from deepmf_sumo.judge.metrics.naturalness import AccelerationSamples
 from deepmf_sumo.judge.metrics.statistics import pooled
 
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
@@ -72,7 +72,7 @@ def test_a_tenth_of_a_millimetre_does_not_move_the_divergence_of_a_standing_car(
     attack, recorded = (naturalness.speed_changes(np.c_[one, one], 0.1) for one in noise)
     assert 0.005 < np.abs(attack).max() < 0.5
     assert naturalness.divergence(attack, recorded) == pytest.approx(0.0, abs=1e-9)
-    assert pooled([Samples(attack, recorded)]).jsd < 0.01
+    assert pooled([AccelerationSamples(attack, recorded)]).jsd < 0.01
 
 
 def test_divergence_by_hand():
@@ -189,7 +189,7 @@ def with_log_until(case, step):
 
 def test_pooled_naturalness():
     rng = np.random.default_rng(0)
-    runs = [Samples(rng.normal(0, 1, 80), rng.normal(0, 1, 80)) for _ in range(60)]
+    runs = [AccelerationSamples(rng.normal(0, 1, 80), rng.normal(0, 1, 80)) for _ in range(60)]
     same = pooled(runs)
     assert (same.runs, same.attack_samples, same.recorded_samples) == (60, 4800, 4800)
     every = [np.concatenate(side) for side in zip(*runs, strict=True)]
@@ -197,7 +197,7 @@ def test_pooled_naturalness():
     histograms = [histogram(side, 201) for side in every]
     assert same.kl == pytest.approx(scipy.stats.entropy(*histograms))
     assert same.kl_reverse == pytest.approx(scipy.stats.entropy(*histograms[::-1]))
-    harder = pooled([Samples(run.attack * 3, run.unattacked) for run in runs])
+    harder = pooled([AccelerationSamples(run.attack * 3, run.unattacked) for run in runs])
     assert harder.jsd > 2 * same.jsd
     assert harder.wasserstein > 1.0
     assert pooled([]) is None

@@ -124,7 +124,7 @@ def test_following_in_plain_traffic(tmp_path):
     config = built(tmp_path, ROAD)
     theirs = encounter(config)
     seen = survey(Survey(config=config, seed=0, until_s=40.0))
-    limits = traffic_conflicts.Limits(ttc_s=float(theirs["minTTC"]) + 0.5)
+    limits = traffic_conflicts.ConflictLimits(ttc_s=float(theirs["minTTC"]) + 0.5)
     [ours] = traffic_conflicts.find(seen.motions, limits).conflicts
     assert ours.ttc_s == pytest.approx(float(theirs["minTTC"]), abs=0.01)
     assert [seen.names[one] for one in (ours.first, ours.second)] == ["foe", "av"]

@@ -10,8 +10,8 @@ import shapely
 from deepmf_sumo.judge.metrics.traffic_conflicts import (
     CUT_OFF,
     NOT_SHARED,
-    Limits,
-    Motions,
+    ConflictLimits,
+    RoadUserMotions,
     courses,
     find,
 )
@@ -32,7 +32,7 @@ def motions(*ways, steps=100, edges=(0, 0, 1)):
     """Of all road users, sorted as SUMO's are read."""
     columns = np.array([columns for columns, _ in ways], float)[:, :, :steps]
     x, y, heading, speed, lane, z = columns.transpose(1, 2, 0).reshape(6, -1)
-    return Motions(
+    return RoadUserMotions(
         dt_s=0.1,
         size_m=np.array([size for _, size in ways]),
         step=np.repeat(np.arange(steps), len(ways)),
@@ -56,16 +56,16 @@ B = way(0, STOPS, np.pi / 2, np.where((T < 1.05) | (T > 2.95), 10.0, 0.0), lane=
 def test_a_vehicle_of_several_boxes_has_one_conflict():
     boxes = [way(0, -20 + 10 * T - 4.0 * number, np.pi / 2, 10, lane=2) for number in range(3)]
     seen = motions(A, *boxes)
-    alone = find(seen, Limits()).conflicts
+    alone = find(seen, ConflictLimits()).conflicts
     assert len([one for one in alone if 0 in (one.first, one.second)]) > 1
-    [one] = find(replace(seen, parts=np.array([0, 1, 1, 1])), Limits()).conflicts
+    [one] = find(replace(seen, parts=np.array([0, 1, 1, 1])), ConflictLimits()).conflicts
     assert 0 in (one.first, one.second)
     assert one.ttc_s == min(each.ttc_s for each in alone)
 
 
 @pytest.mark.parametrize("order", [(A, B), (B, A)])
 def test_a_crossing_at_right_angles(order):
-    [one] = find(motions(*order), Limits()).conflicts
+    [one] = find(motions(*order), ConflictLimits()).conflicts
     assert (order[one.first], order[one.second]) == (A, B)
     assert (one.begin, one.end, one.ttc_step) == (8, 10, 10)
     assert one.ttc_s == pytest.approx(2.205 - 1.0)
@@ -78,15 +78,18 @@ def test_a_crossing_at_right_angles(order):
 
 def test_what_is_no_conflict_is_counted():
     both = motions(A, B)
-    assert find(both, Limits(pet_s=2.0)) == ((), {NOT_SHARED: 1})
-    assert find(motions(A, B, steps=30), Limits()) == ((), {CUT_OFF: 1})
-    assert find(both, Limits(ttc_s=1.2)) == ((), {})
-    assert find(motions(A, way(0, STOPS, np.pi / 2, 10, lane=2, z=6.0)), Limits()) == ((), {})
+    assert find(both, ConflictLimits(pet_s=2.0)) == ((), {NOT_SHARED: 1})
+    assert find(motions(A, B, steps=30), ConflictLimits()) == ((), {CUT_OFF: 1})
+    assert find(both, ConflictLimits(ttc_s=1.2)) == ((), {})
+    assert find(motions(A, way(0, STOPS, np.pi / 2, 10, lane=2, z=6.0)), ConflictLimits()) == (
+        (),
+        {},
+    )
 
 
 def test_conflicts_from_the_right_have_a_positive_angle():
     mirrored = way(0, -STOPS, -np.pi / 2, np.where((T < 1.05) | (T > 2.95), 10.0, 0.0), lane=2)
-    [left] = find(motions(A, mirrored), Limits()).conflicts
+    [left] = find(motions(A, mirrored), ConflictLimits()).conflicts
     assert left.angle_deg == pytest.approx(-90)
 
 
@@ -97,7 +100,7 @@ LEADER = way(33.25 + 5 * T, 0, 0, 5, size=(10.0, 2.0))
 
 
 def test_following():
-    [one] = find(motions(FOLLOWER, LEADER), Limits()).conflicts
+    [one] = find(motions(FOLLOWER, LEADER), ConflictLimits()).conflicts
     assert (one.first, one.second) == (1, 0)
     assert (one.begin, one.end, one.ttc_step) == (38, 43, 40)
     assert one.ttc_s == pytest.approx(6.25 / 5)
@@ -114,7 +117,7 @@ def test_a_queue_that_waits_for_longer_than_the_limits():
     stands = way(52.5 + 10 * np.maximum(T - 6, 0), 0, 0, np.where(T < 6.05, 0.0, 10.0))
     comes = np.where(T < 4.05, 10 * T, 40 + 10 * np.maximum(T - 8, 0))
     stops = way(comes, 0, 0, np.where((T < 4.05) | (T > 8.05), 10.0, 0.0))
-    [one] = find(motions(stops, stands), Limits(pet_s=3.0)).conflicts
+    [one] = find(motions(stops, stands), ConflictLimits(pet_s=3.0)).conflicts
     assert (one.first, one.end, one.ttc_s) == (1, 40, pytest.approx(0.85))
     assert one.pet_s == pytest.approx(2.9)
 
@@ -122,7 +125,7 @@ def test_a_queue_that_waits_for_longer_than_the_limits():
 def test_head_on():
     aside = np.where(T < 2.55, 0.0, 3.0)
     other = way(60.5 - 10 * T, aside, np.pi, 10, lane=2)
-    [one] = find(motions(way(10 * T, 0, 0, 10), other), Limits()).conflicts
+    [one] = find(motions(way(10 * T, 0, 0, 10), other), ConflictLimits()).conflicts
     # 6.5 m are left at 2.5 s, when the other one leaves the place that a comes to 0.7 s later
     assert (one.begin, one.end, one.ttc_step) == (14, 25, 25)
     assert one.ttc_s == pytest.approx(6.5 / 20)
@@ -139,7 +142,7 @@ def test_a_lane_change(before, kind):
     changed = T > 4.45
     aside = np.where(changed, 0.0, 3.5)
     cuts_in = way(30 + 10 * T, aside, 0, 10, lane=np.where(changed, 0, before))
-    [one] = find(motions(behind, cuts_in), Limits()).conflicts
+    [one] = find(motions(behind, cuts_in), ConflictLimits()).conflicts
     assert (one.begin, one.end) == (45, 45)
     assert one.ttc_s == pytest.approx(3.5 / 5)
     assert one.pet_s == pytest.approx(0.4)
@@ -154,7 +157,7 @@ def test_the_angle_decides_where_no_lane_is_shared(angle_deg, kind):
     back = 10 * (T - 2)
     slow = way(6 * (T - 2), 0, 0, 6)
     joins = way(back * np.cos(turned), back * np.sin(turned), turned, 10, lane=2)
-    assert {one.type for one in find(motions(slow, joins), Limits()).conflicts} == {kind}
+    assert {one.type for one in find(motions(slow, joins), ConflictLimits()).conflicts} == {kind}
 
 
 def test_one_conflict_unless_more_than_the_limit_of_pet_lies_between():
@@ -162,16 +165,16 @@ def test_one_conflict_unless_more_than_the_limit_of_pet_lies_between():
     near = np.isin(np.arange(100), (10, 40))
     follower = way(10 * T, 0, 0, np.where(near, 12.0, 10.0))
     pair = motions(follower, way(6 + 10 * T, 0, 0, 10))
-    [one] = find(pair, Limits(pet_s=5.0)).conflicts
+    [one] = find(pair, ConflictLimits(pet_s=5.0)).conflicts
     assert (one.begin, one.end) == (10, 40)
-    assert [one.begin for one in find(pair, Limits(pet_s=2.9)).conflicts] == [10, 40]
+    assert [one.begin for one in find(pair, ConflictLimits(pet_s=2.9)).conflicts] == [10, 40]
 
 
 @pytest.mark.sumo
 def test_pairs_of_sumos_traffic_against_brute_force():
     """All pairs up to 100 m apart, boxes moved forward by 0.05 s at a time, as polygons."""
     seen = survey(Survey(config=FOUR_WAY, seed=42, until_s=60.0)).motions
-    mine, theirs, ttc = courses(seen, Limits(ttc_s=3.0))
+    mine, theirs, ttc = courses(seen, ConflictLimits(ttc_s=3.0))
     found = {(int(a), int(b)): float(one) for a, b, one in zip(mine, theirs, ttc, strict=True)}
     ahead, expected, pairs = np.arange(0, 3, 0.05), {}, 0
     for step in np.unique(seen.step)[::6]:

@@ -50,7 +50,7 @@ def test_a_flipped_bit_never_gives_a_wrong_payload(file, payloads, data):
     found = list(_tfrecord.records(file))
     broken = [one for one in found if isinstance(one, _tfrecord.Broken)]
     assert len(broken) == 1
-    good = [one for one in found if isinstance(one, _tfrecord.Record)]
+    good = [one for one in found if isinstance(one, _tfrecord.TfRecord)]
     assert all(one.payload == payloads[one.index] for one in good)
     # With its length known, only the damaged record is lost.
     lost = len(payloads) - broken[0].index if broken[0].end is None else 1
@@ -65,7 +65,7 @@ def test_a_cut_file_gives_the_whole_records_and_one_report(file, payloads, packe
     content = gzip.compress(content) if packed else content
     file.write_bytes(content[: data.draw(st.integers(1, len(content) - 1))])
     found = list(_tfrecord.records(file))
-    good = [one for one in found if isinstance(one, _tfrecord.Record)]
+    good = [one for one in found if isinstance(one, _tfrecord.TfRecord)]
     assert [one.payload for one in good] == payloads[: len(good)]
     borders = {sum(map(len, framed[:count])) for count in range(len(framed))}
     if not packed and file.stat().st_size in borders:

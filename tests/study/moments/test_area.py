@@ -9,7 +9,7 @@ import pytest
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.spec import Moments
 from deepmf_sumo.study.moments import search
-from deepmf_sumo.study.moments.area import Area, area_of, inside, read_polygon
+from deepmf_sumo.study.moments.area import AttackArea, area_of, inside, read_polygon
 from deepmf_sumo.sumo.network.sumo_net import read_net
 
 from tests.study.moments.test_moments_encounters import OVER, UP, drive
@@ -32,10 +32,10 @@ def found(config, **wanted):
 
 def test_which_vehicles_are_in_an_area(config):
     seen, net = drive([(OVER, 18.3), (UP, 20.3)]), read_net(config.parent / "crossing.net.xml")
-    on_east = inside(Area(edges=("east",)), seen, net, 8.0)
+    on_east = inside(AttackArea(edges=("east",)), seen, net, 8.0)
     assert {seen.edges[edge] for edge in seen.edge[on_east]} == {"east"}
     assert (seen.to_end_m[on_east] > 0).all()
-    middle = inside(Area(junctions=("mid",)), seen, net, 8.0)
+    middle = inside(AttackArea(junctions=("mid",)), seen, net, 8.0)
     assert {seen.edges[edge] for edge in seen.edge[middle]} == {"west", "south"}
     assert seen.to_end_m[middle].max() == pytest.approx(80.0, abs=10.0)  # 8 s at 10 m/s
     assert (seen.to_end_m[middle] == 0).any(), "those inside the junction as well"

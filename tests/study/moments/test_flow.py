@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepmf_sumo.study.moments.flow import accompanied, flows
-from deepmf_sumo.study.moments.moment import Flow, Found
+from deepmf_sumo.study.moments.moment import Flow, FoundMoments
 
 from tests.study.moments.test_moments import traffic
 from tests.study.moments.test_moments_encounters import OVER, UP, drive
@@ -41,6 +41,8 @@ def test_somebody_is_near_as_by_looking_at_all_pairs():
 
 
 def test_flows_are_of_the_time_after_the_warm_up():
-    found = Found(moments=(), suitable=0, vehicles=1, begin_s=100.0, until_s=1000.0, complete=True)
+    found = FoundMoments(
+        moments=(), suitable=0, vehicles=1, begin_s=100.0, until_s=1000.0, complete=True
+    )
     assert found.hours == 0.25
     assert replace(found, from_s=460.0).hours == 0.15

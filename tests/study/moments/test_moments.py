@@ -13,8 +13,8 @@ from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.study.moments import search, warm_up
 from deepmf_sumo.study.moments.choice import choose
 from deepmf_sumo.study.moments.flow import accompanied
-from deepmf_sumo.study.moments.moment import Moment, Wish, around, opponents
-from deepmf_sumo.sumo.simulation.traffic_survey import Body, Sightings
+from deepmf_sumo.study.moments.moment import Moment, WantedMoments, around, opponents
+from deepmf_sumo.sumo.simulation.traffic_survey import DemandVehicle, Sightings
 
 SUMO_CONFIG = Path(__file__).resolve().parents[3] / "sumo_nets" / "four_way" / "four_way.sumocfg"
 EDGES = ("in", "left", "right", "out")
@@ -39,7 +39,9 @@ def traffic(*, pairs=6, permission="passenger", speed=5.0, apart=10.0, parked=Fa
         persons=False,
         waiting=0,
         bodies=tuple(
-            Body(id=f"v{number}", type=f"t{number % 2}", permission=permission, departed_s=0.5)
+            DemandVehicle(
+                id=f"v{number}", type=f"t{number % 2}", permission=permission, departed_s=0.5
+            )
             for number in range(2 * pairs)
         ),
         edges=EDGES,
@@ -56,7 +58,7 @@ def traffic(*, pairs=6, permission="passenger", speed=5.0, apart=10.0, parked=Fa
 
 
 def test_moments_are_spread_over_edges_movements_vehicles_and_time():
-    found = choose(traffic(), TURNS, Wish(count=8))
+    found = choose(traffic(), TURNS, WantedMoments(count=8))
     assert (len(found.moments), found.reason, found.vehicles) == (8, "", 12)
     moments = found.moments
     assert sorted(one.edge for one in moments) == ["in"] * 4 + ["out"] * 4
@@ -69,13 +71,13 @@ def test_moments_are_spread_over_edges_movements_vehicles_and_time():
 
 
 def test_the_choice_is_that_of_the_seed():
-    wish = Wish(count=5, seed=3)
+    wish = WantedMoments(count=5, seed=3)
     assert choose(traffic(), TURNS, wish) == choose(traffic(), TURNS, wish)
     assert choose(traffic(), TURNS, wish) != choose(traffic(), TURNS, replace(wish, seed=4))
 
 
 def test_attacks_on_one_vehicle_do_not_overlap():
-    found = choose(traffic(), TURNS, Wish(count=50, av="v3", duration_s=10.0))
+    found = choose(traffic(), TURNS, WantedMoments(count=50, av="v3", duration_s=10.0))
     starts = [one.start_s for one in found.moments]
     assert {one.av for one in found.moments} == {"v3"}
     assert 2 < len(starts) < 7
@@ -84,7 +86,7 @@ def test_attacks_on_one_vehicle_do_not_overlap():
 
 
 def test_times_and_types_can_be_asked_for():
-    found = choose(traffic(), TURNS, Wish(count=4, at_s=(20.0, 50.0), av_type="t1"))
+    found = choose(traffic(), TURNS, WantedMoments(count=4, at_s=(20.0, 50.0), av_type="t1"))
     assert sorted(one.start_s for one in found.moments) == [20.0, 20.0, 50.0, 50.0]
     assert {one.av_type for one in found.moments} == {"t1"}
 
@@ -95,9 +97,13 @@ def test_nobody_new_or_about_to_leave_is_attacked():
     columns = ("time_s", "vehicle", "edge", "following", "to_end_m", "speed_mps", "parked")
     short = {name: getattr(sightings, name)[kept] for name in columns}
     gone = replace(sightings, position_m=sightings.position_m[kept], **short)
-    starts = {one.start_s for one in choose(gone, TURNS, Wish(count=500, duration_s=0.1)).moments}
+    starts = {
+        one.start_s for one in choose(gone, TURNS, WantedMoments(count=500, duration_s=0.1)).moments
+    }
     assert (min(starts), max(starts)) == (2.0, 28.0)
-    starts = {one.start_s for one in choose(gone, TURNS, Wish(count=500, duration_s=3.0)).moments}
+    starts = {
+        one.start_s for one in choose(gone, TURNS, WantedMoments(count=500, duration_s=3.0)).moments
+    }
     assert max(starts) <= 26.0
 
 
@@ -115,7 +121,7 @@ def test_nobody_new_or_about_to_leave_is_attacked():
     ],
 )
 def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
-    found = choose(sightings, TURNS, Wish(count=3, **wish))
+    found = choose(sightings, TURNS, WantedMoments(count=3, **wish))
     assert found.moments == ()
     assert re.search(reason, found.reason)
 
@@ -131,19 +137,19 @@ def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
 )
 def test_what_is_not_in_the_traffic_is_the_users_mistake(wish, message):
     with pytest.raises(UsageError, match=message):
-        choose(traffic(), TURNS, Wish(count=1, **wish))
+        choose(traffic(), TURNS, WantedMoments(count=1, **wish))
 
 
 def test_moments_before_the_beginning_are_left_out_and_why_is_said():
-    found = choose(traffic(), TURNS, Wish(count=8, from_s=45.0))
+    found = choose(traffic(), TURNS, WantedMoments(count=8, from_s=45.0))
     assert min(one.start_s for one in found.moments) >= 45.0
     assert (found.from_s, found.from_why) == (45.0, "")
-    late = choose(traffic(), TURNS, Wish(count=8, from_s=61.0))
+    late = choose(traffic(), TURNS, WantedMoments(count=8, from_s=61.0))
     assert not late.moments
     assert late.reason == (
         "a vehicle is there from 1 to 60 s, and none from 61 s on; --from S begins earlier"
     )
-    at_once = choose(traffic(), TURNS, Wish(count=8, from_s="settled"))
+    at_once = choose(traffic(), TURNS, WantedMoments(count=8, from_s="settled"))
     assert at_once.from_s == 1.0
     assert "settled at about 12" in at_once.from_why
 
@@ -172,22 +178,22 @@ def test_traffic_has_settled_at_nine_tenths_of_its_level(number, begins, why):
 
 
 def test_the_moments_of_another_attack_are_taken_again():
-    first = choose(traffic(), TURNS, Wish(count=8)).moments
+    first = choose(traffic(), TURNS, WantedMoments(count=8)).moments
     pairs = tuple((one.av, one.start_s) for one in first)
-    again = choose(traffic(), TURNS, Wish(count=8, seed=5, again=pairs))
+    again = choose(traffic(), TURNS, WantedMoments(count=8, seed=5, again=pairs))
     assert [(one.av, one.start_s) for one in again.moments] == list(pairs)
     assert again.reason == ""
-    fewer = choose(traffic(pairs=3), TURNS, Wish(count=8, again=(*pairs, ("gone", 5.0))))
+    fewer = choose(traffic(pairs=3), TURNS, WantedMoments(count=8, again=(*pairs, ("gone", 5.0))))
     assert {(one.av, one.start_s) for one in fewer.moments} < set(pairs)
     assert "not there at their times" in fewer.reason
-    none = choose(traffic(), TURNS, Wish(count=1, again=(("gone", 5.0),)))
+    none = choose(traffic(), TURNS, WantedMoments(count=1, again=(("gone", 5.0),)))
     assert not none.moments
     assert "not there at their times" in none.reason
 
 
 def test_nobody_at_all_is_told_when_moments_are_taken_again():
     empty = replace(traffic(), bodies=(), vehicle=np.zeros(0, int), time_s=np.zeros(0))
-    found = choose(empty, TURNS, Wish(count=1, again=(("v0", 5.0),)))
+    found = choose(empty, TURNS, WantedMoments(count=1, again=(("v0", 5.0),)))
     assert found.reason.startswith("there is no vehicle from 0 to 60 s: the moments are of other")
 
 
@@ -251,7 +257,7 @@ def test_whom_the_av_is_about_to_meet_can_be_the_opponent(asked, of_first, of_se
 def test_a_time_before_a_saved_state_is_refused_though_the_survey_saw_no_vehicle():
     empty = replace(traffic(), bodies=(), begin_s=300.0, until_s=300.0)
     with pytest.raises(UsageError, match="100: the simulation begins at 300 s"):
-        choose(empty, TURNS, Wish(count=1, at_s=(100.0,)))
+        choose(empty, TURNS, WantedMoments(count=1, at_s=(100.0,)))
 
 
 def bridge():
@@ -297,7 +303,7 @@ def test_a_vehicle_farther_up_the_slope_is_around():
 
 
 def test_vehicles_of_a_distribution_are_of_each_of_its_types():
-    wish = Wish(count=8, av_type="mix", av_types=("t0", "t1"))
+    wish = WantedMoments(count=8, av_type="mix", av_types=("t0", "t1"))
     assert {one.av_type for one in choose(traffic(), TURNS, wish).moments} == {"t0", "t1"}
     one = replace(wish, av_types=("t1", "gone"))
     assert {one.av_type for one in choose(traffic(), TURNS, one).moments} == {"t1"}

@@ -7,10 +7,10 @@ import pytest
 
 from deepmf_sumo.study.moments.choice import choose
 from deepmf_sumo.study.moments.encounters import NEAR_S, Passages, _apart, encounters, passages
-from deepmf_sumo.study.moments.moment import Wish
+from deepmf_sumo.study.moments.moment import WantedMoments
 from deepmf_sumo.study.moments.search import find
 from deepmf_sumo.sumo.network.sumo_net import read_net
-from deepmf_sumo.sumo.simulation.traffic_survey import Body, Scouting, Sightings
+from deepmf_sumo.sumo.simulation.traffic_survey import DemandVehicle, Scouting, Sightings
 
 from tests.support.crossing_network import build
 
@@ -41,7 +41,7 @@ def drive(ways, *, speed=10.0, permission="passenger", every_s=1.0, lengths=None
     return Sightings(
         begin_s=0.0, until_s=60.0, complete=True, persons=False, waiting=0,
         bodies=tuple(
-            Body(id=f"v{number}", type="t", permission=permission, departed_s=0.0)
+            DemandVehicle(id=f"v{number}", type="t", permission=permission, departed_s=0.0)
             for number in range(len(ways))
         ),
         edges=EDGES, time_s=time_s, vehicle=vehicle, edge=edge, following=following,
@@ -158,10 +158,13 @@ def test_a_moment_whose_only_other_vehicle_is_far_is_taken_again(net):
     seen = drive([(OVER, 18.3), (UP, 20.3)])  # 61 m apart at 14 s
     at_14 = (("v0", 14.0),)
     met = encounters(seen, net, 16.0)
-    for wish in (Wish(count=1, again=at_14), Wish(count=1, prefer="both", again=at_14)):
+    for wish in (
+        WantedMoments(count=1, again=at_14),
+        WantedMoments(count=1, prefer="both", again=at_14),
+    ):
         (moment,) = choose(seen, {}, wish, met).moments
         assert (moment.av, moment.start_s, moment.around, moment.meets) == ("v0", 14.0, 0, "v1")
-    assert not choose(seen, {}, Wish(count=1, at_s=(14.0,)), met).moments
+    assert not choose(seen, {}, WantedMoments(count=1, at_s=(14.0,)), met).moments
 
 
 def test_followers_and_those_who_cannot_attack_are_no_encounters(net):
@@ -208,7 +211,7 @@ def crossings(many=6):
 def test_encounters_come_first_where_they_are_preferred(net):
     seen = crossings()
     met = encounters(seen, net, 8.0)
-    wish = Wish(count=3, seed=2, prefer="encounters")
+    wish = WantedMoments(count=3, seed=2, prefer="encounters")
     found = choose(seen, {}, wish, met)
     assert len(found.moments) == 3
     assert all(one.encounter_s is not None for one in found.moments)
@@ -220,7 +223,7 @@ def test_both_spreads_over_edges_and_time_and_takes_encounters_there(net):
     seen = crossings()
     met = encounters(seen, net, 8.0)
     found, plain = (
-        choose(seen, {}, Wish(count=12, seed=2, prefer=one), met).moments
+        choose(seen, {}, WantedMoments(count=12, seed=2, prefer=one), met).moments
         for one in ("both", "spread")
     )
     at = {edge: [one for one in found if one.edge == edge] for edge in EDGES}
@@ -234,21 +237,24 @@ def test_both_spreads_over_edges_and_time_and_takes_encounters_there(net):
 def test_fewer_encounters_than_moments_are_said_before_anything_is_attacked(net):
     seen = crossings(many=2)
     met = encounters(seen, net, 8.0)
-    (line,) = choose(seen, {}, Wish(count=9, prefer="both"), met).notes
+    (line,) = choose(seen, {}, WantedMoments(count=9, prefer="both"), met).notes
     assert line == (
         "only 4 vehicles meet another at a junction: some of the 9 moments may be without an"
         " encounter"
     )
-    for wish in (Wish(count=2, prefer="both"), Wish(count=9)):
+    for wish in (WantedMoments(count=2, prefer="both"), WantedMoments(count=9)):
         assert choose(seen, {}, wish, met).notes == ()
     alone = replace(met, junctions={})
-    assert "no two edges meet at any junction" in choose(seen, {}, Wish(count=2), alone).notes[0]
+    assert (
+        "no two edges meet at any junction"
+        in choose(seen, {}, WantedMoments(count=2), alone).notes[0]
+    )
 
 
 def test_without_the_wish_nothing_changes_but_the_column(net):
     seen = crossings()
     met = encounters(seen, net, 8.0)
-    wish = Wish(count=8, seed=2)
+    wish = WantedMoments(count=8, seed=2)
     plain, known = (choose(seen, {}, wish, one).moments for one in (None, met))
     assert any(one.encounter_s is not None for one in known)
     for one, two in zip(plain, known, strict=True):
@@ -261,28 +267,30 @@ def test_junctions_have_equally_many_attacks_where_encounters_are_preferred(net)
     seen = crossings()
     ends = {"west": "mid", "south": "mid", "east": "e", "north": "n"}
     met = replace(encounters(seen, net, 8.0), junctions=ends)
-    found = choose(seen, {}, Wish(count=6, seed=2, prefer="encounters"), met)
+    found = choose(seen, {}, WantedMoments(count=6, seed=2, prefer="encounters"), met)
     assert sorted(ends[one.edge] for one in found.moments) == ["e", "e", "mid", "mid", "n", "n"]
-    assert "far" in {one.edge for one in choose(seen, {}, Wish(count=6, seed=2), met).moments}
+    assert "far" in {
+        one.edge for one in choose(seen, {}, WantedMoments(count=6, seed=2), met).moments
+    }
 
 
 def test_moments_of_a_configuration_begin_before_its_encounters(config):
     """`over1` and `up1` are at the crossing at once; the others follow each other."""
     scouting = Scouting(config=config, sumo_options=(), seed=1)
-    found = find(scouting, Wish(count=2, prefer="encounters"))
+    found = find(scouting, WantedMoments(count=2, prefer="encounters"))
     assert {one.av for one in found.moments} == {"over1", "up1"}
     assert {one.encounter_s for one in found.moments} == {1.2}
     assert {one.av: one.meets for one in found.moments} == {"over1": "up1", "up1": "over1"}
     # over the crossing at 10.1 and 11.7 s; the two are farther apart than 50 m
     assert all(2.0 < one.start_s < 9.0 and one.around == 0 for one in found.moments)
-    assert find(scouting, Wish(count=2, prefer="encounters")) == found
-    late = find(scouting, Wish(count=1, prefer="encounters", av="over2"))
+    assert find(scouting, WantedMoments(count=2, prefer="encounters")) == found
+    late = find(scouting, WantedMoments(count=1, prefer="encounters", av="over2"))
     assert [(one.encounter_s, one.meets) for one in late.moments] == [(None, None)]
 
 
 def test_encounters_are_known_of_moments_that_are_asked_for(config):
     scouting = Scouting(config=config, sumo_options=(), seed=1)
-    asked = find(scouting, Wish(count=1, prefer="encounters", at_s=(26.0,)))
+    asked = find(scouting, WantedMoments(count=1, prefer="encounters", at_s=(26.0,)))
     assert [(one.start_s, one.encounter_s) for one in asked.moments] == [(26.0, None)]
-    again = find(scouting, Wish(count=2, again=(("over1", 9.0), ("up1", 10.0))))
+    again = find(scouting, WantedMoments(count=2, again=(("over1", 9.0), ("up1", 10.0))))
     assert [(one.av, one.encounter_s) for one in again.moments] == [("over1", 1.2), ("up1", 1.2)]

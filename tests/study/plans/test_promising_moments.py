@@ -12,8 +12,8 @@ from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.results.risk import attacks
 from deepmf_sumo.spec import tasks
 from deepmf_sumo.study import plans
-from deepmf_sumo.study.moments import Found, Moment
-from deepmf_sumo.study.plans.rounds import Rounds
+from deepmf_sumo.study.moments import FoundMoments, Moment
+from deepmf_sumo.study.plans.rounds import DrawRounds
 from deepmf_sumo.study.sweep import batch
 
 from tests.support import tiny_network
@@ -86,7 +86,7 @@ def moment(edge, number):
 
 def pool(edges, count):
     """A found pool in order of time, spread the other way round, its request and its runs."""
-    found = Found(
+    found = FoundMoments(
         moments=tuple(moment(edge, number) for number, edge in enumerate(edges)), suitable=99,
         vehicles=9, begin_s=0.0, until_s=99.0, complete=True,
         order=tuple(reversed(range(len(edges)))),
@@ -111,7 +111,7 @@ def result(task, *, finding=0.0, spare=None, status="ok", opponent="foe"):
 @pytest.mark.parametrize("told", [{"finding": 1.0}, {"spare": 0.0}])
 def test_what_came_near_is_drawn_more_often(told):
     request, found, runs = pool(["good", "bad"] * 60, 30)
-    rounds = Rounds()
+    rounds = DrawRounds()
     rounds.add(request, found, runs)
     batches = [rounds.begin(runs)]
     assert {task.run_id for task in batches[0]} == {f"a--{number}--0" for number in range(110, 120)}
@@ -134,7 +134,7 @@ def test_runs_that_failed_or_attacked_nobody_say_nothing():
     request, found, runs = pool(["one", "two"] * 12, 6)
     chances = []
     for told in ({"status": "failed"}, {"opponent": None}):
-        rounds = Rounds()
+        rounds = DrawRounds()
         rounds.add(request, found, runs)
         first = rounds.begin(runs)
         chances.append(

@@ -253,7 +253,7 @@ def test_a_result_that_is_not_a_number_is_a_failed_run(whole, tmp_path, monkeypa
     loaded = plans.load(whole[0])
     task = entries.tasks_of(entries.entries_of(loaded, tmp_path), (0,))[-1]
     (tmp_path / "runs").mkdir()
-    episode.Episode(runs=tmp_path / "runs", cache=tmp_path)(task)
+    episode.TaskRunner(runs=tmp_path / "runs", cache=tmp_path)(task)
     found = json.loads((tmp_path / "runs" / task.run_id / "result.json").read_text())
     assert found["status"] == "failed"
     assert found["error"] == "metrics.pet.value is not a finite number; the run is not used."

@@ -15,7 +15,7 @@ from deepmf_sumo.results.result import row as row_of_run
 from deepmf_sumo.results.statistics import rate
 from deepmf_sumo.spec.tasks import slug
 from deepmf_sumo.study.plans import tables
-from deepmf_sumo.study.plans.layout import Budgeted, Layout, read_layout
+from deepmf_sumo.study.plans.layout import Budgeted, PlanLayout, read_layout
 from deepmf_sumo.study.plans.tables import row_of
 from deepmf_sumo.tables import to_csv
 
@@ -183,7 +183,7 @@ def folder(tmp_path):
         scenes=["a", "b"],
     )
     own = {"planners": [], "scenes": "all", "budget": {"simulations": 4, "seconds": None}}
-    Layout(
+    PlanLayout(
         name="made", version=_version(), methods=["fast", "slow_&_old"], planners=["lane"],
         scenes=list("abc"), baseline="fast", versions=["fast"], compared=["fast", "slow_&_old"],
         equal_seconds=part, curves=part, runs={one["run_id"]: "key" for one in runs},

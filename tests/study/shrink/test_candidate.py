@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.scene import Plan
 from deepmf_sumo.study.shrink import candidate as module
 from deepmf_sumo.study.shrink.candidate import Candidate, changes_of_plan, path_of
-from deepmf_sumo.study.shrink.failure import Failure
+from deepmf_sumo.study.shrink.failure import RecordedHit
 
 STEPS = 40
 
@@ -30,7 +30,7 @@ def plan(first, poses):
 
 
 def failure(*plans, driven=None):
-    return Failure(
+    return RecordedHit(
         run_id="r",
         planner="idm",
         task=None,

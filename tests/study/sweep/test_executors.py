@@ -15,7 +15,7 @@ from deepmf_sumo.errors import PluginError, RunError, UsageError
 from deepmf_sumo.study.sweep import batch, ray_cluster
 from deepmf_sumo.study.sweep.inputs import Input, digest
 from deepmf_sumo.study.sweep.ray_cluster import Cluster
-from deepmf_sumo.study.sweep.workers import Limits, Local
+from deepmf_sumo.study.sweep.workers import BatchLimits, Local
 
 from tests.support.ray_double import Ray
 
@@ -63,7 +63,7 @@ def use(monkeypatch):
 
 
 def do(runs, wanted, jobs=2, **limits):
-    return list(Cluster(jobs=jobs).run(Writes(runs), wanted, Limits(**limits)))
+    return list(Cluster(jobs=jobs).run(Writes(runs), wanted, BatchLimits(**limits)))
 
 
 @pytest.mark.sumo
@@ -142,7 +142,7 @@ def test_another_version_is_refused(runs, use, monkeypatch):
     home = ray_cluster.NodeState(
         version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=()
     )
-    refused = ray_cluster.WorkerActor(home, Writes(runs), Limits()).start().refusal
+    refused = ray_cluster.WorkerActor(home, Writes(runs), BatchLimits()).start().refusal
     assert refused.endswith("has deepmf-sumo 0.0.1, not 9.9")
 
 
@@ -175,7 +175,7 @@ def test_a_lost_head_is_a_sentence(runs, use, monkeypatch):
 @pytest.mark.sumo
 def test_closing_leaves_no_process_and_begins_nothing(runs, use):
     ray = use(Ray())
-    endings = Cluster(jobs=2).run(Writes(runs), tasks("a", "hang", "hang"), Limits())
+    endings = Cluster(jobs=2).run(Writes(runs), tasks("a", "hang", "hang"), BatchLimits())
     assert next(endings).index == 0
     workers = [actor.place._worker.process for actor in ray.actors]
     endings.close()

@@ -11,7 +11,7 @@ from deepmf_sumo.sumo.network.sumo_net import read_net
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.training import generated
 from deepmf_sumo.training.generated import motorway, roundabouts, street_attributes, street_graph
-from deepmf_sumo.training.generated.layout import Edge, Layout, Node, build
+from deepmf_sumo.training.generated.layout import Edge, GeneratedLayout, Node, build
 
 PLAIN = [kind for kind in generated.KINDS if kind != generated.MIX]
 
@@ -80,7 +80,7 @@ def test_junctions_lanes_and_limits_of_every_sort_are_drawn():
 
 
 def star(arms):
-    layout = Layout(nodes={"m": Node(position_m=(0.0, 0.0))})
+    layout = GeneratedLayout(nodes={"m": Node(position_m=(0.0, 0.0))})
     for number in range(arms):
         angle = 2 * np.pi * number / arms
         layout.nodes[f"n{number}"] = Node(

@@ -7,7 +7,7 @@ import pytest
 
 from deepmf_sumo.scene import HISTORY_STEPS, Contact, Driver, Plan, Turn, TurnRules, View
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.sumo.simulation.contacts import Judge
+from deepmf_sumo.sumo.simulation.contacts import ContactFinder
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 
 from tests.support.owners import Owner
@@ -159,7 +159,7 @@ def test_in_turn_a_hit_ends_the_attack_of_both():
 
 
 def judged(*frames, attackers):
-    judge = Judge("av", attackers)
+    judge = ContactFinder("av", attackers)
     for step, agents in enumerate(frames):
         judge.look(step, *frame(agents))
     return [(one.kind, one.first_id, one.second_id) for one in judge.contacts], judge

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.scene import Driver
-from deepmf_sumo.sumo.simulation.contacts import Judge
+from deepmf_sumo.sumo.simulation.contacts import ContactFinder
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 
 CAR = np.array([4.0, 2.0])
@@ -21,7 +21,7 @@ def frame(**poses):
 
 
 def judged(*frames, opponent="ov", sizes=None):
-    judge = Judge("av", () if opponent is None else (opponent,))
+    judge = ContactFinder("av", () if opponent is None else (opponent,))
     for step, one in enumerate(frames):
         size = np.array([(sizes or {}).get(name, CAR) for name in one.ids])
         judge.look(step, one, size)

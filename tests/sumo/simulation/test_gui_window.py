@@ -27,7 +27,7 @@ def test_av_and_opponents_are_coloured_and_the_av_is_followed(monkeypatch):
         getSchema=lambda view: "standard",
         setSchema=lambda view, name: calls.append(name),
     )
-    window = gui.Window(SimpleNamespace(vehicle=vehicle, gui=shown), "av")
+    window = gui.GuiWindow(SimpleNamespace(vehicle=vehicle, gui=shown), "av")
     window.on_step(EMPTY, ("a",))
     first = dict(colours)
     assert set(first) == {"av", "a"}

@@ -10,7 +10,7 @@ from deepmf_sumo.judge.metrics import collision, driving
 from deepmf_sumo.planners import constant_velocity, replay
 from deepmf_sumo.scene import Driver
 from deepmf_sumo.sumo.simulation import simulate
-from deepmf_sumo.sumo.simulation.contacts import Judge
+from deepmf_sumo.sumo.simulation.contacts import ContactFinder
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.sumo.simulation.ownership import continues
 from deepmf_sumo.sumo.simulation.way_on import WayOn
@@ -29,7 +29,9 @@ TIME = np.arange(1, 46) / 10
 
 
 def run(case, poses, backend=None, planner=None):
-    policy = trajectory.Trajectory(trajectory.Settings(agent="b", poses=np.array(poses).tolist()))
+    policy = trajectory.TrajectoryPolicy(
+        trajectory.Settings(agent="b", poses=np.array(poses).tolist())
+    )
     planner = planner or replay.build(replay.Settings())
     return simulate(case, planner, policy, rng=np.random.default_rng(0), backend=backend)
 
@@ -186,7 +188,7 @@ def test_the_way_on_keeps_to_its_lanes_at_a_junction():
 
 
 def judged(*frames):
-    judge = Judge("av", ("ov",))
+    judge = ContactFinder("av", ("ov",))
     for step, (gap, driver) in enumerate(frames):
         poses = {
             "av": (Pose(x_m=0.0, y_m=0.0, heading_rad=0.0, speed_mps=0.0), Driver.PLANNER),

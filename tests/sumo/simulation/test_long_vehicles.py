@@ -15,9 +15,9 @@ import sumo
 
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.judge.metrics.traffic_conflicts import Limits, find
+from deepmf_sumo.judge.metrics.traffic_conflicts import ConflictLimits, find
 from deepmf_sumo.live.connection import shared
-from deepmf_sumo.live.observer import Observer
+from deepmf_sumo.live.observer import LiveObserver
 from deepmf_sumo.planners import idm
 from deepmf_sumo.roadcheck.conflicts import observation
 from deepmf_sumo.roadcheck.motion_survey import Survey, survey
@@ -138,12 +138,12 @@ def test_its_boxes_touch_no_car_beside_it(trams, started):
 def test_conflicts_have_vehicles_and_not_parts(trams):
     seen = survey(Survey(config=trams, seed=0, until_s=33.0))
     assert "t part 6" in seen.names
-    found = observation(seen, Limits())
+    found = observation(seen, ConflictLimits())
     assert found.users == len({one.partition(" part ")[0] for one in seen.names})
     sides = {side.id for one in found.conflicts for side in (one.first, one.second)}
     assert not [one for one in sides if " part " in one]
     assert not [one for one in found.conflicts if one.first.id == one.second.id]
-    everything = find(seen.motions, Limits(ttc_s=5.0)).conflicts
+    everything = find(seen.motions, ConflictLimits(ttc_s=5.0)).conflicts
     whole = seen.motions.whole
     assert all(whole[one.first] != whole[one.second] for one in everything)
 
@@ -241,7 +241,7 @@ def test_an_av_meets_a_tram_once_and_is_one_box_itself(folder):
 
 def test_a_live_attack_sees_the_same_boxes(trams, started):
     api = started(trams)
-    reader, observer = TrafficReader(api), Observer(shared(api), "queue.0", 400.0)
+    reader, observer = TrafficReader(api), LiveObserver(shared(api), "queue.0", 400.0)
     for step in range(220):
         api.simulationStep()
         if step < 50:

@@ -9,7 +9,7 @@ import pytest
 
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.live.connection import shared
-from deepmf_sumo.live.observer import Observer
+from deepmf_sumo.live.observer import LiveObserver
 from deepmf_sumo.planners import idm
 from deepmf_sumo.roadcheck.motion_survey import Survey, survey
 from deepmf_sumo.sumo.simulation import network_case, simulate
@@ -102,7 +102,7 @@ def test_a_live_attack_sees_the_same(config):
     libsumo.start(["sumo", "-c", str(config), "--step-length", "0.1", "--no-warnings"])
     try:
         libsumo.simulationStep(3.0)
-        observer = Observer(shared(libsumo), "1", 300.0)
+        observer = LiveObserver(shared(libsumo), "1", 300.0)
         before = observer.frame(observer.look(), {})
         libsumo.simulationStep(16.0)
         after = observer.frame(observer.look(), {})

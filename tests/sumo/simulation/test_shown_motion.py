@@ -8,7 +8,7 @@ import pytest
 import sumo
 
 from deepmf_sumo.scene import Command
-from deepmf_sumo.sumo.simulation.av import Av
+from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion
 
@@ -69,7 +69,7 @@ def test_an_av_that_stands_does_not_change_lanes_unless_its_route_needs_it(leads
         setSpeed=lambda *_: None,
     )
     pose = Pose(x_m=0.0, y_m=0.0, heading_rad=0.0, speed_mps=5.0)
-    av = Av(SimpleNamespace(vehicle=vehicle), "av", 5.0, pose)
+    av = SumoAv(SimpleNamespace(vehicle=vehicle), "av", 5.0, pose)
     for speed_mps in (5.0, 0.0, 0.05, 1.0, 0.0):
         speed.append(speed_mps)
         av.drive(Command(kind="sumo"))
