@@ -17,11 +17,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from deepmf_sumo.errors import PluginError, nearest
 
-Kind = Literal["readers", "planners", "policies", "adversaries", "metrics", "exporters"]
+Kind = Literal["readers", "planners", "adversaries", "metrics", "exporters"]
 _ROOMS: Final[dict[Kind, tuple[str, ...]]] = {
     "readers": ("scene.readers",),
     "planners": ("planners",),
-    "policies": ("attacks.policies",),
     "adversaries": ("attacks", "baselines"),
     "metrics": ("judge.metrics",),
     "exporters": ("exporters",),

@@ -2,18 +2,18 @@
 
 import numpy as np
 
+from deepmf_sumo.attacks import _fixed_path
 from deepmf_sumo.attacks.base import Simulate
-from deepmf_sumo.attacks.policies import trajectory
 from deepmf_sumo.scene import Attack, Budget, Case
 
-Settings = trajectory.Settings
+Settings = _fixed_path.Settings
 
 
 class TrajectoryAttack:
     """One episode under the fixed trajectory."""
 
     def __init__(self, settings: Settings) -> None:
-        self._policy = trajectory.build(settings)
+        self._policy = _fixed_path.build(settings)
 
     def attack(
         self,

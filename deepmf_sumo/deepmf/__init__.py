@@ -1,9 +1,10 @@
 """DeepMF: what an attack considers, how it chooses, and how it is driven.
 
-At each replanning cycle the method takes the candidate trajectory of the opponent for which
-P(OV) x sum over k of P(AV_k | OV) x collision is largest. Each factor is a part: `networks` predict
-(inference only), `candidates` are what the opponent might do and which pairs collide,
-`constraints` say which of these are allowed, `scoring` chooses, `tracking` drives.
+At each replanning cycle the method takes the candidate trajectory of the opponent for which P(OV) x
+sum over k of P(AV_k | OV) x collision is largest (rule ``expected``; by default a spec has
+``likeliest``, the likeliest candidate of nearly the largest collision mass). Each factor is a part:
+`networks` predict (inference only), `candidates` are what the opponent might do and which pairs
+collide, `constraints` say which of these are allowed, `scoring` chooses, `tracking` drives.
 
 Why it is as it is:
 
@@ -11,7 +12,7 @@ Why it is as it is:
   the last plan. Constraints are masks over candidates or pairs, so that any number of them combine;
   ``DeepMF._plan`` reads from top to bottom.
 - Predictors keep nothing: ``predict(view, agent)`` returns a prediction that is passed on and
-  queried (`networks.base`). A policy can be copied, resumed and run beside others.
+  queried (`networks.predict`). A policy can be copied, resumed and run beside others.
 - A goal of DenseTNT is a (lane-graph path, speed profile) pair: it carries its timing, so that
   completion is a small residual along the path. With ``head: dense`` it is a place of a grid along
   the path (`networks.anchors`), with the timing of a constant acceleration: both end in one

@@ -72,7 +72,7 @@ class RunGroup:
         return [found for run in self.runs_of(self.attacked) if (found := run.tries)]
 
     @property
-    def fair_hits(self) -> int:
+    def on_road_hits(self) -> int:
         """Hits of an opponent within a car's limits, and on the road at >= 95 % of its steps."""
         return int(((self.hits["on_road"] >= 0.95) & (self.hits["feasible"] >= 1)).sum())
 
@@ -184,7 +184,7 @@ def _row(group: RunGroup, name: str) -> dict[str, Any]:
             "speed_mps": _middle(_values(group.hits, "contact_speed_mps")),
             "third_party": group.touched("opponent_other"),
             "av_other": group.touched("av_other"),
-            "on_road_hits": group.fair_hits,
+            "on_road_hits": group.on_road_hits,
             **{column: _middle(_values(group.ok, name)) for name, column in AVERAGED.items()},
             "generation_s": _middle(_values(group.ok, "generation_s")),
             "cycle_ms": _middle(_values(group.ok, "cycle_ms_median"), median),
@@ -357,7 +357,7 @@ def _apart(group: RunGroup) -> str:
 
 
 def _fair(group: RunGroup) -> str:
-    return f"{group.fair_hits} of {len(group.hits)}" if len(group.hits) else NONE
+    return f"{group.on_road_hits} of {len(group.hits)}" if len(group.hits) else NONE
 
 
 def _mean(runs: pd.DataFrame, column: str, digits: int | None) -> str:

@@ -1,7 +1,8 @@
 """A result folder: what a run leaves, how it is written and read, and what is counted of it.
 
-Only this room knows the names and formats of a run's files. Everything that counts runs reads one
-table, `frames`; all intervals, and what they decide, are `statistics`; what two sides are compared
+The names and formats of a run's files are here; what runs calls its writers. Everything that counts
+runs reads one table, `frames`; all intervals, and what they decide, are `statistics` (the page
+computes those of the rows that a person selects again, in its script); what two sides are compared
 by is `matching` and `comparison`. `gate` makes a verdict of it, `risk` a map.
 
 Why so: two pages that print the same number must have it from the same rows. Results of earlier

@@ -5,7 +5,7 @@ Axis letters: A agents, T steps, H history, F future, M modes, P points, L lanes
 part of the field names; headings are radians counter-clockwise from +x in (-pi, pi]; a pose is the
 centre of the box; arrays are read-only.
 
-Why so: a policy sees a `View` and nothing else, and a type without a future cannot leak one. A
+Why so: what a policy sees of an episode is a `View`, and a type without a future cannot leak one. A
 reader, a predictor or a metric is tested with arrays, without SUMO and without files.
 
 - The road is one set of lanes with pieces of centre lines (`geometry.road`), for metrics and for

@@ -1,8 +1,8 @@
 """Everything that touches SUMO: networks built and read, configurations, and the episode.
 
 SUMO has its own frame (front bumper, degrees from north), its own words for what went wrong, and
-one simulation a process. All of that stays behind this room: what leaves it are the types of
-`deepmf_sumo.scene`.
+one simulation a process. All of that stays behind this room: methods, planners and judgement get
+the types of `deepmf_sumo.scene`. Rooms that ask for SUMO's own roads and traffic use it directly.
 
 Why it is as it is:
 
@@ -15,7 +15,9 @@ Why it is as it is:
   (`simulation.shown_motion`). Other jumps to the side are spread over 1.5 s.
 - Under ``lanechange.duration`` SUMO crashes where a vehicle that is put somewhere leaves its lane
   on a side without another lane, so its lane change is ended first.
-- A hand-over from one driver to another begins where the vehicle is (`simulation.ownership`).
+- A hand-over from one driver to another begins where the vehicle is (`simulation.ownership`). A
+  vehicle that SUMO cannot take for 30 s leaves SUMO's traffic, or is put on the nearest lane of a
+  recording's; the rollout says so.
 - Vehicles that stand without reaching into the AV's swept way are put on SUMO's ignore lists
   (`simulation.ignored_vehicles`); a red that the recorded AV itself passes is off.
 - Against ``replay`` with logged traffic no vehicle reacts, and an episode is put together without
@@ -26,8 +28,8 @@ Why it is as it is:
 - SUMO writes into one folder (`simulation.sumo_outputs`): a prefix that leads to / and down again
   catches all outputs; options that do not obey it are refused.
 - An AV stays one box, and vehicles that bend never attack: ``moveToXY`` places a front alone.
-- Networks without lanes inside junctions get straight ones where there are lights. Priority is
-  read from SUMO networks alone: recordings do not state it.
+- Networks without lanes inside junctions get straight ones where there are lights. Priority is read
+  from SUMO networks alone: recordings do not state it.
 
 There are two kinds of networks, SUMO's here and the neural ones in `deepmf_sumo.deepmf.networks`.
 """

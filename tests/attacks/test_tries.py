@@ -128,7 +128,7 @@ def test_what_no_try_changes_is_predicted_once(monkeypatch, values):
 
 def test_nothing_is_kept_where_no_try_follows():
     """A policy of a live attack has no end: it may not gather predictions."""
-    settings = plugins.settings("policies", "deepmf", {"tried_opponents": 2})
+    settings = plugins.settings("adversaries", "deepmf", {"tried_opponents": 2})
     experience = Experience()
     Simulation()(build(settings, Doubles(), experience=experience))
     assert experience.predicted == {}
@@ -148,7 +148,7 @@ def test_the_weight_of_an_answer_falls_with_the_distance_from_what_was_tried():
 
 
 def test_a_collision_that_missed_the_goal_does_not_count_again(monkeypatch):
-    settings = plugins.settings("policies", "deepmf", {"opponent": "b"})
+    settings = plugins.settings("adversaries", "deepmf", {"opponent": "b"})
     simulate, experience = Simulation(), Experience()
     rollout = simulate(build(settings, Doubles(), experience=experience))
     experience.add(rollout, wanted=False)

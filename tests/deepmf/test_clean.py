@@ -23,7 +23,7 @@ HALF_M = 2.25
 
 
 def reason_of(agents, **values):
-    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    settings = plugins.settings("adversaries", "deepmf", {"opponent": "b", **values})
     made = build(settings, Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))

@@ -17,7 +17,7 @@ AGENTS = {"av": (0, 0, 0, 10.0), "near": (-8, 3.5, 0, 12.0), "far": (60, -40, np
 
 
 def policy(predictors=None, partner_id=None, **values):
-    settings = plugins.settings("policies", "deepmf", values)
+    settings = plugins.settings("adversaries", "deepmf", values)
     return policy_module.build(settings, predictors or Doubles(), partner_id)
 
 
@@ -64,7 +64,7 @@ def test_period(values, steps):
 )
 def test_wrong_settings_are_refused(values):
     with pytest.raises(PluginError):
-        plugins.settings("policies", "deepmf", values)
+        plugins.settings("adversaries", "deepmf", values)
 
 
 def test_opponent_choice():

@@ -16,7 +16,7 @@ BEHIND = {"av": (0, 0, 0, 10.0), "b": (-12, 0, 0, 12.0)}
 
 
 def plan_of(agents, **values):
-    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    settings = plugins.settings("adversaries", "deepmf", {"opponent": "b", **values})
     made = policy.build(settings, Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))
@@ -92,7 +92,7 @@ def test_the_driven_candidate_is_lawful_and_the_plan_says_which_are():
 
 def test_an_opponent_without_lawful_ways_to_the_av_is_not_chosen():
     agents = {"av": (0, 0, 0, 10.0), "behind": (-12, 0, 0, 12.0), "beside": (30, 3.5, 0, 6.0)}
-    settings = plugins.settings("policies", "deepmf", {"tried_opponents": 4, "lawful": True})
+    settings = plugins.settings("adversaries", "deepmf", {"tried_opponents": 4, "lawful": True})
     made = policy.build(settings, Doubles())
     view = view_of(agents)
     (opponent,) = made.reset(view, np.random.default_rng(0))
@@ -112,5 +112,5 @@ def replace_opponent(settings, name):
 
 def test_lawful_is_yes_or_no():
     with pytest.raises(Exception, match="lawful"):
-        plugins.settings("policies", "deepmf", {"lawful": "mostly"})
+        plugins.settings("adversaries", "deepmf", {"lawful": "mostly"})
     assert plan_of(BESIDE).reason.lawful is None

@@ -31,7 +31,7 @@ def known(monkeypatch):
 
 
 def first_plan(**values):
-    made = build(plugins.settings("policies", "deepmf", values), Doubles())
+    made = build(plugins.settings("adversaries", "deepmf", values), Doubles())
     view = view_of(AGENTS)
     made.reset(view, np.random.default_rng(0))
     return plan_of(made, view)
@@ -52,7 +52,7 @@ def test_a_new_constraint_narrows_the_choice_and_is_recorded(known):
 
 @pytest.mark.parametrize("name", sorted(one.name for one in constraints.CONSTRAINTS))
 def test_every_constraint_is_recorded_and_kept(name):
-    keys = type(plugins.settings("policies", "deepmf", {})).model_fields
+    keys = type(plugins.settings("adversaries", "deepmf", {})).model_fields
     own_key = {"sector": "rear"} if name == "sector" else {name: True}
     values = own_key if name in keys else {"constraints": [name]}
     reason = first_plan(opponent="near", **values).reason
@@ -77,7 +77,7 @@ def test_a_new_constraint_that_nothing_meets_is_named(known, monkeypatch):
 
 def test_an_unknown_constraint_is_refused_with_the_nearest_name():
     with pytest.raises(PluginError, match=r"no constraint .fare.*Did you mean .fair"):
-        plugins.settings("policies", "deepmf", {"constraints": ["fare"]})
+        plugins.settings("adversaries", "deepmf", {"constraints": ["fare"]})
 
 
 def test_results_name_all_constraints_in_one_list():
@@ -88,6 +88,6 @@ def test_results_name_all_constraints_in_one_list():
         ({"fair": False, "lawful": False, "no_rear_end": False}, []),
         ({"lawful": True, "constraints": ["on_road", "lawful"]}, ["lawful", "on_road"]),
     ):
-        written = plugins.settings("policies", "deepmf", values).model_dump(mode="json")
+        written = plugins.settings("adversaries", "deepmf", values).model_dump(mode="json")
         assert written["constraints"] == expected
         assert not {"fair", "lawful", "no_rear_end"} & written.keys()

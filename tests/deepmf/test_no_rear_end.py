@@ -57,7 +57,7 @@ def test_pairs_without_a_contact_are_no_rams():
 
 
 def plan(agents, **values):
-    made = build(plugins.settings("policies", "deepmf", values), Doubles())
+    made = build(plugins.settings("adversaries", "deepmf", values), Doubles())
     view = view_of(agents)
     made.reset(view, np.random.default_rng(0))
     return plan_of(made, view).reason

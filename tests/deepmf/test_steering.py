@@ -28,7 +28,7 @@ LIMITS = MotionLimits(accel=3.0, brake=4.0, lateral=3.0)
 
 
 def policy(**values):
-    settings = plugins.settings("policies", "deepmf", values)
+    settings = plugins.settings("adversaries", "deepmf", values)
     return build(settings, Doubles())
 
 
@@ -95,7 +95,7 @@ def test_without_wishes_plans_are_what_they_were(values, chosen, total, numbers)
 )
 def test_wrong_wishes_are_refused(values):
     with pytest.raises(PluginError):
-        plugins.settings("policies", "deepmf", values)
+        plugins.settings("adversaries", "deepmf", values)
 
 
 def test_a_sector_has_a_number_and_a_name():

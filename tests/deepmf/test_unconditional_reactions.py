@@ -32,7 +32,7 @@ class HeardPrediction(FanPrediction):
 
 def plan_and_conditions(**values):
     predictors = Doubles(conditional=Heard())
-    policy = build(plugins.settings("policies", "deepmf", values), predictors)
+    policy = build(plugins.settings("adversaries", "deepmf", values), predictors)
     view = view_of(AGENTS)
     policy.reset(view, np.random.default_rng(0))
     return plan_of(policy, view), predictors.conditional.given

@@ -236,7 +236,7 @@ def test_both_spellings_of_older_specs_are_one_run(tmp_path, name):
 @pytest.mark.parametrize("name", profiles.SWITCHES)
 def test_both_spellings_plan_byte_for_byte_alike(name):
     def plans_of(**values):
-        settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+        settings = plugins.settings("adversaries", "deepmf", {"opponent": "b", **values})
         policy = build(settings, Doubles())
         view = view_of({"av": (0, 0, 0, 10.0), "b": (-9, 3.5, 0, 14.0)})
         policy.reset(view, np.random.default_rng(0))

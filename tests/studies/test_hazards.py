@@ -205,7 +205,7 @@ def test_a_study_builds_attacks_every_kind_with_every_seed_and_ranks(tmp_path, m
     assert set(STUDY.KINDS) == set(BUILD.KINDS)
     assert rank[-3:] == [str(tmp_path / "4"), str(tmp_path / "5"), "--flawed"]
     settings = {key: yaml.safe_load(value) for key, value in STUDY.WISHES.items()}
-    assert plugins.settings("policies", "deepmf", settings).constraints == ("lawful",)
+    assert plugins.settings("adversaries", "deepmf", settings).constraints == ("lawful",)
 
 
 def test_a_study_ends_with_the_exit_code_of_what_went_wrong(tmp_path, monkeypatch):

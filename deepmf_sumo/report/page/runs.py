@@ -31,7 +31,7 @@ _ENDED: Final = {
     "time": "end of the run",
     "other_hit": "another attacker hit the AV",
 }
-"""Names of `scene.turn` that do not explain themselves."""
+"""Names of `scene.plan.Turn` that do not explain themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from deepmf_sumo.judge.avoidability.counterfactual import counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_step
 from deepmf_sumo.scene import Budget, Forecast, Futures, Plan, PlanReason, RoadMap
 
-from tests.attacks.policies.test_every_policy import NEEDED
+from tests.attacks.test_policies_of_the_package import NEEDED
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack
 from tests.support.driven_world import World
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight, tracks_of

@@ -17,7 +17,7 @@ AGENTS = {"av": (0, 0, 0, 10.0), "b": (-18, 0, 0, 12.0)}
 
 
 def plan(**values):
-    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    settings = plugins.settings("adversaries", "deepmf", {"opponent": "b", **values})
     made = policy.build(settings, Doubles())
     view = view_of(AGENTS)
     made.reset(view, np.random.default_rng(0))

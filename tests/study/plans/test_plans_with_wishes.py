@@ -12,7 +12,7 @@ from tests.support.rollout_doubles import rollout_of, straight
 
 
 def saved(tmp_path, **values):
-    settings = plugins.settings("policies", "deepmf", {"opponent": "b", **values})
+    settings = plugins.settings("adversaries", "deepmf", {"opponent": "b", **values})
     policy = build(settings, Doubles())
     view = view_of({"av": (0, 0, 0, 10.0), "b": (12, 0, 0, 2.0)})
     policy.reset(view, np.random.default_rng(0))

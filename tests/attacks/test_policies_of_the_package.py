@@ -1,9 +1,11 @@
-"""The exam that every policy found must pass."""
+"""The exam of the policies with which adversaries of the package attack."""
 
 import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
+from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.deepmf import policy as deepmf_policy
 from deepmf_sumo.scene import Plan
 
 from tests.support.one_attacker import plan_of
@@ -11,15 +13,17 @@ from tests.support.predictor_doubles import Doubles, view_of
 
 # Settings without which a policy cannot be built; all others must have defaults.
 NEEDED = {"trajectory": {"agent": "b", "poses": [[-6.8 + 1.2 * k, 3.5, 0.0] for k in range(80)]}}
+POLICIES = {
+    "deepmf": deepmf_policy.build,
+    "trajectory": lambda settings, *_: _fixed_path.build(settings),
+}
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
 
 
-@pytest.mark.parametrize("name", plugins.names("policies"))
+@pytest.mark.parametrize("name", POLICIES)
 def test_policy(name):
-    module = plugins.load("policies", name)
-    settings = plugins.settings("policies", name, NEEDED.get(name, {}))
-    assert issubclass(module.Settings, plugins.Settings)
-    policy = module.build(settings, Doubles(), None)
+    settings = plugins.settings("adversaries", name, NEEDED.get(name, {}))
+    policy = POLICIES[name](settings, Doubles(), None)
     period = policy.period_steps
     assert period is None or (isinstance(period, int) and period >= 1)
     assert policy.reset(VIEW, np.random.default_rng(0)) in {("b",), ()}
@@ -33,10 +37,10 @@ def test_policy(name):
     assert np.hypot(*(plan.position_m[0] - [-6.8, 3.5])) < 0.1
 
 
-@pytest.mark.parametrize("name", plugins.names("policies"))
+@pytest.mark.parametrize("name", POLICIES)
 def test_unknown_settings_are_refused(name):
     with pytest.raises(plugins.PluginError, match="no_such_key"):
-        plugins.settings("policies", name, {**NEEDED.get(name, {}), "no_such_key": 1})
+        plugins.settings("adversaries", name, {**NEEDED.get(name, {}), "no_such_key": 1})
 
 
 @pytest.mark.parametrize(
@@ -49,4 +53,4 @@ def test_unknown_settings_are_refused(name):
 )
 def test_numbers_that_are_not_finite_are_refused(name, values):
     with pytest.raises(plugins.PluginError, match="finite"):
-        plugins.settings("policies", name, values)
+        plugins.settings("adversaries", name, values)

@@ -139,11 +139,7 @@ def _begun(poses: Floats, view: View, row: int) -> Floats:
     return poses - left * np.array([*offset, turned])
 
 
-def build(
-    settings: Settings,
-    predictors: object = None,
-    partner_id: AgentId | None = None,
-) -> TrajectoryPolicy:
+def build(settings: Settings) -> TrajectoryPolicy:
     """The policy. Raises PluginError if the file is missing or contains something else."""
     return TrajectoryPolicy(settings)
 
