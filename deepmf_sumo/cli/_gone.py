@@ -58,8 +58,10 @@ _CHOSEN: Final = {
 }
 
 OPTIONS: Final[dict[str, dict[str, str]]] = {
-    "attack": _SWEEP | _MOMENTS
-    | {"--risk": "--set sweep.risk=true", "--no-risk": "--set sweep.risk=false"},
+    "attack": _SWEEP | {key: told for key, told in _MOMENTS.items() if key != "--tries"} | {
+        "--av-type": _CHOSEN["--av-type"],
+        "--risk": "--set sweep.risk=true", "--no-risk": "--set sweep.risk=false",
+    },
     "run": _SWEEP | _FIGURES | {"--sumo": "--export fcd"},
     "try": _SWEEP | _MOMENTS | _CHOSEN,
     "attach": _LIVE | {

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     help="Make this number of attacks in each CONFIG.  [default: 10, or once for each --at]",
 )  # fmt: skip
 @click.option("--av", metavar="ID", help="Attack this vehicle.")
-@click.option("--av-type", metavar="TYPE", help="Attack vehicles of this type.")
 @click.option(
     "--junction", "junctions", metavar="ID", multiple=True,
     help="Attack only at this junction, or just before it; may be repeated.",
@@ -56,6 +55,11 @@ if TYPE_CHECKING:
     "--until", "until_s", metavar="S", type=FiniteRange(min=1),
     help="Look for moments up to this time.  [default: the end, or a million vehicle"
     " steps, five million while their number grows]",
+)  # fmt: skip
+@click.option(
+    "--tries", type=click.IntRange(1, 1000), metavar="N",
+    help="Simulate an attack at most N times, until it finds an error of the AV or an"
+    " avoidable hit; 1 is a quick look.  [default: that of the profile, 4 for fair]",
 )  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
 @set_option
@@ -137,13 +141,15 @@ def _documents(
     keys: dict[str, Any] = {} if wanted["seed"] is None else {"seed": wanted["seed"]}
     if wanted["planner"] is not None:
         keys["planner"] = {"name": wanted["planner"]}
+    if wanted["tries"] is not None:
+        sets = (f"adversary.tries={wanted['tries']}", *sets)
     chosen = {key: wanted[key] for key in _MOMENTS}
     if chosen["of"]:
         chosen["of"] = str(chosen["of"].absolute())
     return moments.documents(configs, keys, sets, sumo_options=sumo_options, **chosen)
 
 
-_MOMENTS = ("count", "av", "av_type", "at_s", "of", "from_s", "until_s", "junctions", "edges")
+_MOMENTS = ("count", "av", "at_s", "of", "from_s", "until_s", "junctions", "edges")
 """Options that are keys of the spec's moments."""
 
 

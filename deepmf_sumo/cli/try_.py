@@ -15,8 +15,8 @@ from deepmf_sumo.errors import EXIT_CODES, UsageError, worst
 if TYPE_CHECKING:
     from deepmf_sumo.roadcheck.countermeasures import Built
 
-_OTHERS: Final = {"configs", "of", "file", "shard", "formats"} | {
-    "av", "av_type", "at_s", "from_s", "until_s",
+_OTHERS: Final = {"configs", "of", "file", "shard", "formats", "tries"} | {
+    "av", "at_s", "from_s", "until_s",
 }  # fmt: skip
 """Options of `attack` that say nothing about two networks, or that few need here: see ``--set``."""
 _MOMENTS: Final = "source.moments."

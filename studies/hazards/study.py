@@ -46,7 +46,8 @@ def commands(
     attack = [sys.executable, "-m", "deepmf_sumo.cli.main", "attack"]
     for seed, wish, kind in itertools.product(seeds, prefer, KINDS):
         yield [
-            *attack, str(folder / "net" / "hazards.sumocfg"), "--av-type", kind, *WHEN,
+            *attack, str(folder / "net" / "hazards.sumocfg"), *WHEN,
+            "--set", f"source.moments.av_type={kind}",
             "--moments", str(moments), "--seed", str(seed), "--no-pictures",
             "--set", f"source.moments.prefer={wish}", "--resume", *wishes,
             "--out", str(folder / str(seed) / f"{kind}-{wish}"),

@@ -91,7 +91,11 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
     ("more", "message", "code"),
     [
         (["--av", "laeder"], "--av laeder: no such vehicle is in the demand of", 2),
-        (["--av-type", "bus"], "--av-type bus: no such type is in the demand of", 2),
+        (
+            ["--set", "source.moments.av_type=bus"],
+            "source.moments.av_type bus: no such type is in the demand of",
+            2,
+        ),
         (["--at", "2.55"], "--at 2.55: the simulation goes in steps of 0.1 s", 2),
         (["--junction", "c"], "--junction c: no such junction is in the network; there are", 2),
         (["--edge", "aab"], "--edge aab: no such edge is in the network; there are ab.", 2),

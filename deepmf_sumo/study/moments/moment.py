@@ -75,7 +75,7 @@ class WantedMoments:
         return f"{self.named('from_s')}{' S' * self.by_option} begins earlier"
 
 
-_OPTIONS: Final = {"av": "--av", "av_type": "--av-type", "at_s": "--at", "until_s": "--until"} | {
+_OPTIONS: Final = {"av": "--av", "at_s": "--at", "until_s": "--until"} | {
     "from_s": "--from", "junctions": "--junction", "edges": "--edge",
 }  # fmt: skip
 

@@ -275,7 +275,7 @@ def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
 MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
-_OPTIONS: Final = {"count": "--moments", "av": "--av", "av_type": "--av-type", "at_s": "--at"} | {
+_OPTIONS: Final = {"count": "--moments", "av": "--av", "at_s": "--at"} | {
     "junctions": "--junction", "edges": "--edge", "from_s": "--from", "until_s": "--until",
     "of": "--moments-of", "seed": "--seed", "planner": "--planner",
 }  # fmt: skip
