@@ -198,8 +198,8 @@ class AttackEnv(_Env):  # type: ignore[misc]
     `scene.Command` of a planner. The spec's planner does not drive; SUMO's model has its
     parameters when a command leaves the AV to SUMO.
 
-    The observation is in the AV's frame, see `gym.Observer`. ``info`` has ``run_id`` and ``step``,
-    at the end also ``outcome``, ``ended`` and ``opponent`` as in ``result.json``.
+    The observation is in the AV's frame, see `ObservationBuilder`. ``info`` has ``run_id`` and
+    ``step``, at the end also ``outcome``, ``ended`` and ``opponent`` as in ``result.json``.
 
     Terminated: contact, or the AV arrived; truncated: the time limit was reached.
 

@@ -272,7 +272,7 @@ def test_a_vehicle_on_the_bridge_above_is_not_observed():
     for z_m, seen in ((heights, ["ahead"]), (0.0 * heights, ["over", "ahead"])):
         history = replace(tracks, z_m=np.repeat(z_m, tracks.steps, axis=1))
         road = RoadMap(lanes={one.id: one for one in lanes})
-        observer = importlib.import_module(MODULE).Observer(4)
+        observer = importlib.import_module(MODULE).ObservationBuilder(4)
         agents = observer.observe(replace(view, history=history, road=road))["agents"]
         at = {"over": (9.0, 5.0), "ahead": (29.0, 0.0)}
         assert [tuple(row[1:3]) for row in agents.tolist() if row[0]] == [at[one] for one in seen]

@@ -72,7 +72,7 @@ class HttpConnection:
         self._connection: HTTPConnection | None = None
 
     def ask(self, path: str, body: bytes, limit_s: float, what: str) -> bytes:
-        """The body of the response; see `client.Connection`."""
+        """The body of the response; see `PlannerConnection`."""
         deadline = time.monotonic() + limit_s
         try:
             connection = self._connected(limit_s)

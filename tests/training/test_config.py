@@ -106,9 +106,9 @@ def test_members_come_from_the_flag_then_the_file_then_the_default(tmp_path, mon
     file = tmp_path / "train.yaml"
     asked = []
     monkeypatch.setattr(training, "train_each", lambda _, made, *__: asked.append(made.members))
-    for text, flag in (("", None), ("members: 3\n", None), ("members: 3\n", 1)):
+    for text, sets in (("", ()), ("members: 3\n", ()), ("members: 3\n", ("members=1",))):
         file.write_text(f"version: 1\ndata: [mine]\n{text}", encoding="utf-8")
-        request = training.TrainingRequest(network="marginal", file=file, members=flag)
+        request = training.TrainingRequest(network="marginal", file=file, sets=sets)
         training.train_requested(request, print)
     assert asked == [config.MEMBERS, 3, 1]
 

@@ -56,7 +56,7 @@ class Process:
             os.set_blocking(stream, False)
 
     def ask(self, path: str, line: bytes, limit_s: float, what: str) -> bytes:
-        """The program's next line; see `client.Connection`. The line itself says what is asked."""
+        """The next line; see `PlannerConnection`. The line itself says what is asked."""
         deadline = time.monotonic() + limit_s
         with selectors.DefaultSelector() as selector:
             selector.register(self._stdin, selectors.EVENT_WRITE)

@@ -71,7 +71,7 @@ if many: sys.argv.remove("many threads")
 in_passage = lambda: sys._getframe(2).f_code.co_name == "_in_passage"
 fork._held = lambda *of: (in_passage() and count("hold"), held(*of))[1] and not many
 planned = tasks.plan([spec.load(Path(name)) for name in sys.argv[2:]], runs)
-work = episode.Episode(runs=runs, cache=runs / "cache")
+work = episode.TaskRunner(runs=runs, cache=runs / "cache")
 for task in planned:
     work(task)
 """

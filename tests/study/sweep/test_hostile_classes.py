@@ -169,7 +169,7 @@ def test_folder_and_environment_are_as_before_where_a_planner_has_threads(tiny, 
         "runs = Path(sys.argv[1])\n"
         "[task] = tasks.plan([spec.load(Path(sys.argv[2]))], runs)\n"
         "before = os.getcwd(), dict(os.environ)\n"
-        "episode.Episode(runs=runs, cache=runs / 'cache')(task)\n"
+        "episode.TaskRunner(runs=runs, cache=runs / 'cache')(task)\n"
         "assert (os.getcwd(), dict(os.environ)) == before\n"
     )
     done = subprocess.run(

@@ -11,7 +11,7 @@ from tests.support import tiny_network
 EPISODE = """
 import sys
 import libsumo
-from deepmf_sumo.sumo.simulation.av import Av
+from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.scene import Command
@@ -30,7 +30,7 @@ print(vehicle.getLaneID("leader"), vehicle.getLateralSpeed("leader") != 0)
 before = vehicle.getMaxSpeedLat("leader")
 length_m = vehicle.getLength("leader")
 start = read_pose(libsumo, "leader", length_m)
-takeover, av = Takeover(libsumo, []), Av(libsumo, "leader", length_m, start)
+takeover, av = Takeover(libsumo, []), SumoAv(libsumo, "leader", length_m, start)
 for step in range(40):
     across = min(1.6, 0.4 * (step + 1))  # over the border within half a second
     pose = Pose(x_m=start.x_m + 0.8 * (step + 1), y_m=start.y_m + across, heading_rad=0.0,
@@ -62,7 +62,7 @@ BUS_LANE = """
 import sys
 import libsumo
 from deepmf_sumo.scene import Command
-from deepmf_sumo.sumo.simulation.av import Av
+from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.vehicle_control import Takeover
@@ -73,7 +73,7 @@ libsumo.start(["sumo", "-c", config, "--seed", "2", "--no-step-log", "true",
 vehicle, car = libsumo.vehicle, "flow_east.0"
 while "line_7.0" not in vehicle.getIDList() or vehicle.getLanePosition("line_7.0") < 300:
     libsumo.simulationStep()
-takeover, av = Takeover(libsumo, []), Av(libsumo, car, 4.5, read_pose(libsumo, car, 4.5))
+takeover, av = Takeover(libsumo, []), SumoAv(libsumo, car, 4.5, read_pose(libsumo, car, 4.5))
 path = [(-262.07, -4.07, -.07), (-260.87, -4.21, -.10), (-259.81, -4.46, -.18),
         (-258.92, -4.80, -.27), (-258.21, -5.20, -.38), (-257.64, -5.60, -.47),
         (-257.16, -5.91, -.51), (-256.76, -6.11, -.50), (-256.61, -6.19, -.49),
@@ -121,7 +121,7 @@ import libsumo
 import numpy as np
 from deepmf_sumo.scene import Command
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.sumo.simulation.av import Av
+from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.vehicle_control import Takeover
@@ -131,7 +131,7 @@ libsumo.start(["sumo", "-c", config, "--seed", "102", "--step-length", "0.1",
                "--collision.action", "none", "--no-step-log", "true", "--no-warnings", "true"])
 libsumo.simulationStep(174.0)
 vehicle, lorry = libsumo.vehicle, "flow_east.19"
-takeover, av = Takeover(libsumo, []), Av(libsumo, lorry, 10.0, read_pose(libsumo, lorry, 10.0))
+takeover, av = Takeover(libsumo, []), SumoAv(libsumo, lorry, 10.0, read_pose(libsumo, lorry, 10.0))
 times = np.arange(13, 32) / 10  # from the junction on, and off the road to its right
 knots = [0.0, 1.2, 1.3, 1.4, 3.0]
 fronts = np.column_stack([np.interp(times - 1.3 + 0.1, knots, column) for column in (
@@ -172,7 +172,7 @@ import libsumo
 import numpy as np
 from deepmf_sumo.scene import Command
 from deepmf_sumo.scene.geometry import boxes
-from deepmf_sumo.sumo.simulation.av import Av
+from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.shown_motion import read_pose
 
 libsumo.start(["sumo", "-c", sys.argv[1], "--step-length", "0.1", "--no-step-log", "true",
@@ -188,7 +188,7 @@ vehicle.setSpeedMode("av", 0)
 vehicle.setSpeed("av", 9.0)
 while vehicle.getLanePosition("leader") - vehicle.getLanePosition("av") > 18.0:
     libsumo.simulationStep()
-av = Av(libsumo, "av", vehicle_length, read_pose(libsumo, "av", vehicle_length))
+av = SumoAv(libsumo, "av", vehicle_length, read_pose(libsumo, "av", vehicle_length))
 av.after_step()
 vehicle.changeLane("av", 1, 60.0)
 gaps, beside = [], []
