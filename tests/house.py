@@ -1,0 +1,90 @@
+"""Marks of the package's structure: ``python -m tests.house``."""
+
+import ast
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from deepmf_sumo.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "deepmf_sumo"
+OPTIONAL = ("baselines", "exporters", "live", "roadcheck", "training")
+MOST_PARAMETERS = 7
+
+
+def sources(folder: Path = PACKAGE) -> Iterator[Path]:
+    """Python files that people wrote."""
+    return (file for file in sorted(folder.rglob("*.py")) if "_pb2" not in file.name)
+
+
+def repeated_classes() -> dict[str, list[str]]:
+    """Names of classes at the top of more than one module; plug-ins share the name ``Settings``."""
+    found = defaultdict(list)
+    for file in sources():
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.ClassDef) and node.name != "Settings":
+                found[node.name].append(str(file.relative_to(PACKAGE)))
+    return {name: files for name, files in found.items() if len(files) > 1}
+
+
+def long_signatures() -> list[str]:
+    """Functions with more than `MOST_PARAMETERS`, without those that click fills."""
+    found = []
+    for file in sources():
+        for node in ast.walk(ast.parse(file.read_text())):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            named = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+            count = sum(one.arg not in {"self", "cls"} for one in named)
+            if count > MOST_PARAMETERS and file.parent.name != "cli":
+                found.append(f"{file.relative_to(PACKAGE)}:{node.name} ({count})")
+    return found
+
+
+def lines() -> dict[str, int]:
+    """Lines of each room, and of ``tests``."""
+    found: Counter[str] = Counter()
+    for file in sources():
+        parts = file.relative_to(PACKAGE).parts
+        found[parts[0] if len(parts) > 1 else "(top)"] += len(file.read_text().splitlines())
+    found["tests"] = sum(len(one.read_text().splitlines()) for one in sources(ROOT / "tests"))
+    return dict(found)
+
+
+def options() -> dict[str, int]:
+    """Options of each command."""
+    found: dict[str, int] = {}
+
+    def add(command: click.Command, name: str) -> None:
+        if isinstance(command, click.Group):
+            context = click.Context(command)
+            for each in command.list_commands(context):
+                one = command.get_command(context, each)
+                assert one is not None
+                add(one, f"{name} {each}".strip())
+        else:
+            found[name] = sum(isinstance(one, click.Option) for one in command.params)
+
+    add(main.commands, "")
+    return found
+
+
+def show() -> None:
+    """Print the marks."""
+    by_room, by_command = lines(), options()
+    optional = sum(by_room[room] for room in OPTIONAL)
+    tests = by_room.pop("tests")
+    print("class names used more than once:", len(repeated_classes()))
+    print(f"functions with more than {MOST_PARAMETERS} parameters:", len(long_signatures()))
+    for each in long_signatures():
+        print("   ", each)
+    print("options of all commands:", sum(by_command.values()), "most:", max(by_command.values()))
+    print("lines of rooms:", ", ".join(f"{name} {count}" for name, count in by_room.items()))
+    print("lines:", sum(by_room.values()) - optional, "optional:", optional, "tests:", tests)
+
+
+if __name__ == "__main__":
+    show()

@@ -1,0 +1,24 @@
+"""The structure that docs/architecture.md promises."""
+
+import ast
+
+import pytest
+
+from tests import house
+
+ROOMS = sorted(one.parent for one in house.PACKAGE.glob("*/__init__.py"))
+
+
+def test_each_class_has_a_name_of_its_own():
+    assert house.repeated_classes() == {}
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda one: one.name)
+def test_a_room_says_what_it_is_and_why(room):
+    doc = ast.get_docstring(ast.parse((room / "__init__.py").read_text())) or ""
+    assert len(doc.splitlines()) >= 5
+
+
+def test_the_architecture_page_lists_all_rooms():
+    page = (house.ROOT / "docs" / "architecture.md").read_text()
+    assert [room.name for room in ROOMS if f"| `{room.name}/`" not in page] == []
