@@ -76,4 +76,10 @@ def totals(summary: dict[str, Any]) -> str:
         parts.append(
             f"{summary['out_of_time']} ended by their budget in seconds: they depend on the machine"
         )
+    if summary.get("unrepeated"):
+        parts.append(
+            f"the planner is not repeatable: in {counted(summary['unrepeated'], 'run')} it drove"
+            f" up to {summary['unrepeated_m']:.2g} m elsewhere than without the attack when all"
+            " else was the same, so that tries and causes are of what was recorded"
+        )
     return "; ".join(parts)

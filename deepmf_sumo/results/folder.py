@@ -300,6 +300,8 @@ def summary(results: Sequence[Result], *, interrupted: bool = False) -> dict[str
         "findings": asdict(findings.count(map(worth, hits))),
         "interrupted": interrupted,
         "out_of_time": sum(bool(one.get("search", {}).get("out_of_time")) for one in done),
+        "unrepeated": len(moved := result.unrepeated(done)),
+        "unrepeated_m": max(moved, default=None),
         "status": dict(Counter(one["status"] for one in results)),
         "outcome": dict(Counter(one["outcome"] for one in done)),
         "profile": headline(map(result.profile, results)),

@@ -12,7 +12,12 @@ import numpy as np
 
 from deepmf_sumo import plugins, tables
 from deepmf_sumo.errors import PlannerFault
-from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, counterfactual
+from deepmf_sumo.judge.avoidability.counterfactual import (
+    By,
+    Counterfactual,
+    counterfactual,
+    unrepeated_m,
+)
 from deepmf_sumo.judge.causes import cause_of
 from deepmf_sumo.judge.ladder import RUNGS, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
@@ -21,6 +26,7 @@ from deepmf_sumo.scene import (
     Case,
     Contact,
     ConversionReport,
+    Event,
     MetricValue,
     RecordedCase,
     Rollout,
@@ -293,6 +299,8 @@ COLUMNS: Final = (
     "constraints",
 )
 _LOOKED_FOR: Final = "finding"
+UNREPEATED: Final = "not_repeatable"
+"""Kind of the event that says that two equal episodes of the planner differ."""
 """Trials that have this value looked for findings."""
 IDENTITY: Final = ("spec", "scene", "network", "seed", "method", "planner_label", "part")
 TIMINGS: Final = ("generation_s", "cycle_ms_median", "simulation_s")
@@ -342,7 +350,7 @@ def finished(
         "counterfactual": _compared_with(*decisive),
         "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
-        "events": [asdict(event) for event in rollout.events],
+        "events": [*map(asdict, rollout.events), *_unrepeated(rollout, case)],
         "metrics": values_of(metrics),
         "finding": None if told is None else asdict(told),
         "cause": _cause(decided),
@@ -363,6 +371,23 @@ def finished(
     if by_turn is not None:
         result["turns"] = by_turn
     return result
+
+
+def _unrepeated(rollout: Rollout, case: Case) -> list[dict[str, Any]]:
+    """That the planner did not do again what it did without the attack: an event, and how far."""
+    found = unrepeated_m(rollout, case)
+    if found is None:
+        return []
+    step, away_m = found
+    detail = f"{away_m:.2g} m from where it drove without the attack, when all else was the same"
+    event = Event(step=step, agent_id=rollout.av_id, kind=UNREPEATED, detail=detail)
+    return [{**asdict(event), "away_m": away_m if math.isfinite(away_m) else None}]
+
+
+def unrepeated(results: Iterable[Mapping[str, Any]]) -> list[float]:
+    """How far the AV was, in each run whose planner did not do what it did without the attack."""
+    events = (one for result in results for one in result.get("events", ()))
+    return [one.get("away_m") or 0.0 for one in events if one["kind"] == UNREPEATED]
 
 
 def _cause(episode: Episode) -> dict[str, Any] | None:

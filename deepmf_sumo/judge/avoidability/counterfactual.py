@@ -12,6 +12,7 @@ same grade, whichever method drove it. In order of preference:
   and after an earlier attack of the same episode that has changed the world.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -37,6 +38,8 @@ By = Literal["log", "episode", "lane", "prediction"]
 """What a counterfactual rests on. ``prediction``: only in results of earlier versions."""
 _SAME_M: Final = 0.01
 """A vehicle that is nearer than this to its unattacked position is where it would have been."""
+_EQUAL_M: Final = 1e-6
+"""Equal episodes are equal to the bit; this much is rounding of stored tracks."""
 _ALIGNED_RAD: Final = np.pi / 4
 _BEYOND_M: Final = 100.0
 """Lanes are followed this much farther than the vehicle goes on them."""
@@ -81,6 +84,32 @@ def counterfactual(rollout: Rollout, case: Case, agent_id: AgentId) -> Counterfa
         return _in_lane(rollout, case.road, agent_id)
     row = alone.row(agent_id)
     return Counterfactual(by=by, position_m=alone.position_m[row], known=alone.valid[row])
+
+
+def unrepeated_m(rollout: Rollout, case: Case) -> tuple[int, float] | None:
+    """The first step at which the AV is elsewhere than without the attack, and how far.
+
+    Only where nothing else was elsewhere before that step, so that the planner saw the same and
+    answered otherwise: two equal episodes of it differ. None where it did the same, or where no
+    episode without the attack is known.
+    """
+    alone, tracks = case.unattacked, rollout.tracks
+    if alone is None:
+        return None
+    steps = min(tracks.steps, alone.steps)
+    both = [one for one in tracks.ids if one in alone.ids]
+    mine, theirs = ([each.row(one) for one in both] for each in (tracks, alone))
+    away = np.linalg.norm(
+        tracks.position_m[mine, :steps] - alone.position_m[theirs, :steps], axis=2
+    )
+    there, then = tracks.valid[mine, :steps], alone.valid[theirs, :steps]
+    moved = (there != then) | (there & then & (away > _EQUAL_M))
+    av = both.index(rollout.av_id) if rollout.av_id in both else None
+    changed = np.flatnonzero(moved.any(axis=0))
+    if av is None or not len(changed) or not moved[av, changed[0]] or changed[0] <= rollout.now:
+        return None
+    step = int(changed[0])
+    return step, float(away[av, step]) if there[av, step] and then[av, step] else math.inf
 
 
 def _begins_alike(rollout: Rollout, alone: Tracks, agent_id: AgentId) -> bool:

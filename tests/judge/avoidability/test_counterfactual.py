@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo import plugins
 from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.avoidability import grading
-from deepmf_sumo.judge.avoidability.counterfactual import counterfactual
+from deepmf_sumo.judge.avoidability.counterfactual import counterfactual, unrepeated_m
 from deepmf_sumo.judge.avoidability.encounter import onset_step
 from deepmf_sumo.scene import Budget, Forecast, Futures, Plan, PlanReason, RoadMap
 
@@ -232,3 +232,30 @@ def test_a_plan_of_another_shape_changes_nothing():
         for plans in ((), (short,), rollout.plans)
     }
     assert onsets == {32}
+
+
+def later(path, step, metres):
+    """A path that is this much farther on from a step on."""
+    moved = path.copy()
+    moved[step:, 0] += metres
+    return moved
+
+
+@pytest.mark.parametrize(
+    ("av_step", "other_step", "expected"),
+    [
+        (None, None, None),
+        (12, None, (12, 0.5)),
+        (12, 30, (12, 0.5)),
+        (30, 30, (30, 0.5)),  # what the AV does in a step was decided before the step
+        (31, 30, None),  # it answers to what is elsewhere
+    ],
+)
+def test_a_planner_that_does_not_repeat_what_it_did_is_found(av_step, other_step, expected):
+    """With the opponent where it is without the attack, the planner sees the same."""
+    av = AV if av_step is None else later(AV, av_step, 0.5)
+    other = BESIDE if other_step is None else later(BESIDE, other_step, 0.2)
+    case = replace(in_traffic(case_of()), unattacked=tracks_of({"av": AV, "b": BESIDE}))
+    found = unrepeated_m(rollout_of({"av": av, "b": other}), case)
+    assert found == (expected if expected is None else pytest.approx(expected))
+    assert unrepeated_m(rollout_of({"av": av, "b": other}), in_traffic(case_of())) is None
