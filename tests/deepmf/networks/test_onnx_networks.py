@@ -164,6 +164,18 @@ def test_without_torch_an_attack_hits_as_with_it(tmp_path):
     assert (manifest["networks"], manifest["packages"]["torch"] is None) == ("onnx", False)
 
 
+def test_the_light_installation_lays_out_the_same_starter():
+    included = [
+        tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+            "targets"
+        ]["wheel"]["force-include"]
+        for folder in (".", "light")
+    ]
+    assert {f"../{path}": place for path, place in included[0].items()} == {
+        path: place for path, place in included[1].items() if path != "../deepmf_sumo"
+    }
+
+
 def test_the_light_installation_asks_for_the_same_packages_without_torch():
     whole, light = (
         tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
