@@ -6,7 +6,8 @@ computes those of the rows that a person selects again, in its script); what two
 by is `matching` and `comparison`. `gate` makes a verdict of it, `risk` a map.
 
 Why so: two pages that print the same number must have it from the same rows. Results of earlier
-versions are completed where they are read (`stored`), so that nobody else knows what they lacked.
+versions are completed where they are read (`stored`), so that no other room knows what they
+lacked.
 
 - Risk is counted on the network's own places; rates are shrunk towards their mean before they are
   ranked. Places are ranked by criticality, the time that encounters left, within their kind: an

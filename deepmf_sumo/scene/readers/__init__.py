@@ -244,7 +244,7 @@ def _scenes(root: Path, *, is_only: bool = False) -> Generator[Scene | Refusal]:
 
 
 def _read(root: Path) -> Iterator[Scene | Refusal]:
-    """The scenes of a root, up to so many that cannot be used."""
+    """The scenes of a root, until too many of them cannot be used."""
     name, found = _recordings(root)
     lost = 0
     for ref in found:

@@ -1,7 +1,11 @@
+import re
+from pathlib import Path
+
 import pytest
 
 from deepmf_sumo.errors import SpecError, UsageError
 from deepmf_sumo.results.gate import thresholds
+from deepmf_sumo.results.quantities import RULES
 from deepmf_sumo.results.run_sets import frame_of
 
 from tests.support.gate_doubles import row
@@ -167,3 +171,12 @@ def test_groups_have_no_limits_by_default(tmp_path):
     rows = [row("a", 0, av_over_limit_mps=3.0)]
     found = judge(tmp_path, "networks: {a: {max_failed_runs: 0}}", rows)
     assert {group for group, limit in found if limit == "av_over_limit_mps"} == {"all runs"}
+
+
+def test_the_page_on_thresholds_has_the_limits_of_the_program():
+    page = (Path(__file__).resolve().parents[3] / "docs/reference/thresholds.md").read_text()
+    told = {
+        name: float(limit)
+        for name, limit in re.findall(r"^\| `(av_\w+)` \| [^|]+ \| ([\d.]+)", page, re.MULTILINE)
+    }
+    assert told == {name: one.limit for name, one in RULES.items()}
