@@ -197,7 +197,11 @@ def test_a_killed_parent_leaves_no_worker(tmp_path):
     program.write_text(script)
     here = Path(__file__).resolve()
     parent = subprocess.Popen([sys.executable, program, here.parents[3], here.parent, pid_file])
-    worker = _until(lambda: _children(parent.pid) if pid_file.exists() else None)
+
+    def written():  # the file is there before its text
+        return pid_file.exists() and pid_file.read_text().strip()
+
+    worker = _until(lambda: _children(parent.pid) if written() else None)
     parent.kill()
     parent.wait()
     try:
