@@ -15,12 +15,12 @@ from deepmf_sumo.deepmf.networks.config import VECTOR
 from deepmf_sumo.deepmf.networks.lanes import road_index
 from deepmf_sumo.deepmf.networks.opponent import lane_routes, opponent_features, passes_over
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.judge.avoidability.av_path import keeps_lane, route_ahead
 from deepmf_sumo.scene import DT_S, Lane, Plan, RoadMap, View
 from deepmf_sumo.scene.geometry import road as roads
+from deepmf_sumo.scene.road_users import MotionLimits
 from deepmf_sumo.sumo.network import matching
 from deepmf_sumo.training.evaluation import forecasts
 

@@ -15,11 +15,12 @@ from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.opponent import choose as choose_opponent
 from deepmf_sumo.deepmf.settings import LIMITS
-from deepmf_sumo.deepmf.tracking import MotionLimits, Tracked
+from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.scene import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.ground import distance_m
 from deepmf_sumo.scene.policy import Policy
+from deepmf_sumo.scene.road_users import MotionLimits
 
 _FAR_M = 100.0
 """Distance to an AV or an opponent that had left before the first step."""

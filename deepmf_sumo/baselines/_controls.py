@@ -15,9 +15,10 @@ import numpy as np
 
 from deepmf_sumo.attacks._episodes import AgentMotion, Scouted, Trajectories
 from deepmf_sumo.deepmf.networks.lanes import path_set, road_index
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start
+from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.scene import DT_S, Floats, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.road_users import MotionLimits
 
 _REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
 _FULL_LOCK_RAD = 0.33  # course of the centre against the heading

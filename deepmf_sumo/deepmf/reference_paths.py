@@ -20,10 +20,11 @@ import numpy as np
 
 from deepmf_sumo.deepmf.candidates import References, collisions, impact_sectors
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start, joined
+from deepmf_sumo.deepmf.tracking import Start, joined
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
+from deepmf_sumo.scene.road_users import MotionLimits
 
 _PATHS = 12
 _SAME_PATH_M = 0.7  # a mode that ends this close to the path of another one is on that path

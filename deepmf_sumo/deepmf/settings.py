@@ -14,10 +14,10 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.networks.predict import MOST_MODES
 from deepmf_sumo.deepmf.opponent import SCORED
 from deepmf_sumo.deepmf.scoring import Balance, Rule
-from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.errors import nearest
 from deepmf_sumo.scene import DT_S, AvDriver
 from deepmf_sumo.scene.geometry.impact import SECTORS
+from deepmf_sumo.scene.road_users import MotionLimits
 from deepmf_sumo.spec import VERSIONS
 from deepmf_sumo.spec.profiles import SWITCHES, with_listed
 

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start
+from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
@@ -19,6 +19,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of
+from deepmf_sumo.scene.road_users import MotionLimits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -158,27 +158,6 @@ _COURSE_SLIP = 0.2  # largest slip angle that is taken from a measured velocity,
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionLimits:
-    """Largest accelerations in m/s2: speeding up, braking, across the direction of motion."""
-
-    accel: float
-    brake: float
-    lateral: float
-
-    def rows(self, count: int) -> Floats:
-        """(count, 3) the same limits for each candidate."""
-        return np.tile([self.accel, self.brake, self.lateral], (count, 1)).astype(float)
-
-    def mild(self) -> "MotionLimits":
-        """Limits of a calm driver: at most (3, 4, 2.5) and 70 % of these limits."""
-        return MotionLimits(
-            accel=min(3.0, 0.7 * self.accel),
-            brake=min(4.0, 0.7 * self.brake),
-            lateral=min(2.5, 0.7 * self.lateral),
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
     """The vehicle's state now: box centre (2), heading, course and speed, length."""
 

@@ -17,7 +17,7 @@ from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
 from deepmf_sumo.scene import RoadMap, Rollout, Tracks
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
-from deepmf_sumo.scene.road_users import RoadUserClass, class_of
+from deepmf_sumo.scene.road_users import road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, STOP_FIRST
 from deepmf_sumo.sumo.network.matching import match
 
@@ -36,10 +36,6 @@ _STOPPED_STEPS: Final = 10
 """A vehicle has stopped if it is never faster than 0.5 m/s in the last 10 steps."""
 _LATE_S: Final = 1.0
 """Braking is late if it begins later than 1 s after the onset."""
-_CLASSES: Final[dict[RoadUserClass, str]] = {
-    "car": "car", "truck": "truck or bus", "motorcycle": "motorcycle", "bicycle": "bicycle",
-    "pedestrian": "pedestrian", "other": "vehicle",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +137,7 @@ def described(
         braking_mps2=braking_mps2,
         onset_s=round((contact.step - onset) * rollout.dt_s, 3),
         delta_v_mps=contact.delta_v_mps,
-        opponent=_CLASSES[class_of(tracks.kinds[meeting.other], tracks.size_m[meeting.other])],
+        opponent=road_user(tracks.kinds[meeting.other], tracks.size_m[meeting.other]).noun,
         ran_red=ran_red,
         stood=bool(tracks.speed_mps[meeting.other, max(contact.step - 1, 0)] <= STANDING_MPS),
     )

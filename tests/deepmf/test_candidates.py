@@ -6,8 +6,9 @@ import pytest
 from deepmf_sumo.deepmf import candidates
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start, Tracked, track
+from deepmf_sumo.deepmf.tracking import Start, Tracked, track
 from deepmf_sumo.scene import Forecast, Futures, Plan
+from deepmf_sumo.scene.road_users import MotionLimits
 
 from tests.support.predictor_doubles import FanPredictor, view_of
 

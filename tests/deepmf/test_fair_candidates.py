@@ -7,10 +7,10 @@ import pytest
 
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.judge.avoidability.av_path import VehicleState
 from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
 from deepmf_sumo.scene import Forecast, Futures
+from deepmf_sumo.scene.road_users import MotionLimits
 
 from tests.support.predictor_doubles import STEPS, view_of
 

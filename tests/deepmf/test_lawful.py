@@ -8,9 +8,9 @@ import pytest
 from deepmf_sumo.deepmf.candidates import Candidates
 from deepmf_sumo.deepmf.reference_paths import own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.scene import Forecast, Futures, Lane, Neighbour, RoadMap, SignalState, StopSign
+from deepmf_sumo.scene.road_users import MotionLimits
 
 from tests.support.predictor_doubles import view_of
 

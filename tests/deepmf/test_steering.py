@@ -15,9 +15,10 @@ from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.reference_paths import aimed_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start, track
+from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.scene.geometry import impact
+from deepmf_sumo.scene.road_users import MotionLimits
 
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, FanPredictor, view_of

@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.deepmf.tracking import MotionLimits, Start, joined, track
+from deepmf_sumo.deepmf.tracking import Start, joined, track
 from deepmf_sumo.scene import DT_S
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.road_users import MotionLimits
 
 from tests.support.predictor_doubles import STEPS, fan, view_of
 

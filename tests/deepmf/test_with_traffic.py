@@ -9,8 +9,8 @@ from deepmf_sumo.deepmf.candidates import against_traffic
 from deepmf_sumo.deepmf.constraints import WithTraffic
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.tracking import MotionLimits
 from deepmf_sumo.scene import Forecast, Futures, Lane, RoadMap, Tracks, View
+from deepmf_sumo.scene.road_users import MotionLimits
 
 EAST_Y, WEST_Y = 0.0, 3.5
 """Of the two lanes of a street; all drive to the east, so that WEST_Y is the wrong side."""

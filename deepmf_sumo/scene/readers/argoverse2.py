@@ -40,8 +40,8 @@ from deepmf_sumo.scene.readers.base import RecordRef
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
 from deepmf_sumo.scene.readers.raw.one_file import MALFORMED, head
-from deepmf_sumo.scene.readers.raw.repair import TYPICAL_SIZE_M
 from deepmf_sumo.scene.readers.raw.road import RoadBuilder, SignalsBuilder, identifier
+from deepmf_sumo.scene.road_users import ROAD_USERS
 
 LARGEST_FILE: Final = 2**25
 """Bytes of the table, and of the map. Scenarios have 0.1 MB to 0.5 MB of each."""
@@ -50,18 +50,21 @@ AV_ID: Final = "AV"
 AV_SIZE_M: Final = (4.9, 1.9, 1.5)
 """The recording vehicles are Ford Fusions."""
 CLASSES: Final[dict[str, tuple[AgentKind, tuple[float, float, float]]]] = {
-    "vehicle": ("vehicle", TYPICAL_SIZE_M["vehicle"]),
-    "bus": ("vehicle", (12.0, 2.9, 3.3)),
-    "motorcyclist": ("vehicle", (2.2, 0.9, 1.6)),  # as in WOMD, where it is a vehicle, too
-    "cyclist": ("cyclist", TYPICAL_SIZE_M["cyclist"]),
-    "pedestrian": ("pedestrian", TYPICAL_SIZE_M["pedestrian"]),
+    "vehicle": ("vehicle", ROAD_USERS["car"].size_m),
+    "bus": ("vehicle", ROAD_USERS["truck"].size_m),
+    "motorcyclist": (
+        "vehicle",
+        ROAD_USERS["motorcycle"].size_m,
+    ),
+    "cyclist": ("cyclist", ROAD_USERS["bicycle"].size_m),
+    "pedestrian": ("pedestrian", ROAD_USERS["pedestrian"].size_m),
     "riderless_bicycle": ("other", (1.8, 0.6, 1.1)),
-    "static": ("other", TYPICAL_SIZE_M["other"]),
-    "construction": ("other", TYPICAL_SIZE_M["other"]),
-    "background": ("other", TYPICAL_SIZE_M["other"]),
-    "unknown": ("other", TYPICAL_SIZE_M["other"]),
+    "static": ("other", ROAD_USERS["other"].size_m),
+    "construction": ("other", ROAD_USERS["other"].size_m),
+    "background": ("other", ROAD_USERS["other"].size_m),
+    "unknown": ("other", ROAD_USERS["other"].size_m),
 }
-"""Kind and size (length, width, height) by ``object_type``."""
+"""Kind, and length, width and height, by ``object_type``. Motorcycles are vehicles, as in WOMD."""
 MARKS: Final[dict[str, int]] = {
     "DASHED_WHITE": 1,
     "DOUBLE_DASH_WHITE": 1,

@@ -11,7 +11,6 @@ import numpy as np
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.scene import (
     DT_S,
-    AgentKind,
     Bools,
     Floats,
     Lane,
@@ -29,6 +28,7 @@ from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks, motion
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
 from deepmf_sumo.scene.readers.raw.road import quoted
+from deepmf_sumo.scene.road_users import usual_size_m
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
 MOST_STATES: Final = 1_000_000
@@ -38,13 +38,6 @@ MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_SENTENCE: Final = 2000
 """Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
-TYPICAL_SIZE_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
-    "vehicle": (4.7, 2.0, 1.7),
-    "pedestrian": (0.9, 0.9, 1.75),
-    "cyclist": (1.8, 0.8, 1.75),
-    "other": (1.0, 1.0, 1.0),
-}
-"""Used for an agent without a size at any valid step: about the medians in recordings."""
 
 Feature = Lane | Polyline | Polygon | StopSign
 F = TypeVar("F", Polyline, Polygon, StopSign)
@@ -249,7 +242,7 @@ def _finished(raw: RawTracks, now: int, av_id: str, repairs: list[str]) -> Track
     for agent in np.flatnonzero(~sized):
         if ids[agent] == av_id:
             raise ReaderError(f"the AV ({av_id}) has no size")
-        length, width, _ = sizes[agent] = TYPICAL_SIZE_M[kinds[agent]]
+        length, width, _ = sizes[agent] = usual_size_m(kinds[agent])
         repairs.append(
             f"Agent {ids[agent]} has no size; {length} x {width} m, typical of its kind "
             f"({kinds[agent]}), was used."
