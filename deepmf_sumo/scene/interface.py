@@ -6,6 +6,7 @@ from typing import Literal
 
 from deepmf_sumo.scene._arrays import Floats, Frozen
 from deepmf_sumo.scene.plan import TurnRules
+from deepmf_sumo.scene.road_users import RoadUserClass
 from deepmf_sumo.scene.scene import AgentId, RoadMap, Scene, SignalState, Tracks
 
 
@@ -76,6 +77,42 @@ class SumoNet:
     ghost_edge: str | None = None
 
 
+MadePlace = Literal["kerb", "crossing", "stop", "behind_vehicle", "queue", "cyclist", "given"]
+"""Where a made road user is: beside the road; at a pedestrian crossing or a stop line; at a bus
+stop; behind a vehicle that stands; beside the gap between two vehicles of a queue; riding beside
+the lane; where a spec puts it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MadeRoadUser(Frozen):
+    """A person or cyclist who is not in the demand: somebody put it where people could be.
+
+    Without an attack it stands, or goes along its way and stops at the end of it.
+
+    Attributes:
+        id: its SUMO id and agent id.
+        road_user: its class, which gives its size and the limits of its motion.
+        position_m: (2,) centre of its box at the case's start, on its way.
+        z_m: height of the ground there.
+        heading_rad: at the start.
+        speed_mps: along its way, until it brakes for the end of it; 0: it stands.
+        place: where it is, in a word.
+        way_m: (P, 2) line along which it moves, through ``position_m``, begun at least
+            ``-since_s`` before it; None where it stands.
+        since_s: from when on it is there, in s after the start.
+    """
+
+    id: AgentId
+    road_user: RoadUserClass
+    position_m: Floats
+    heading_rad: float
+    speed_mps: float = 0.0
+    place: MadePlace = "given"
+    way_m: Floats | None = None
+    z_m: float = 0.0
+    since_s: float = -1.0
+
+
 Traffic = Literal["log", "sumo"]
 AvDriver = Literal["planner", "human"]
 
@@ -98,6 +135,7 @@ class _Situation:
         unattacked: (A, T) the same episode without attack, at the steps of its rollouts, where SUMO
             drives the traffic; None before it is simulated, and where it cannot be. What a vehicle
             would have done says `avoidability.counterfactual`, not this alone.
+        made: people who were put there, see `MadeRoadUser`; the same in every episode of the case.
     """
 
     name: str
@@ -110,6 +148,7 @@ class _Situation:
     turns: TurnRules | None = None
     only: tuple[AgentId, ...] | None = None
     unattacked: Tracks | None = None
+    made: tuple[MadeRoadUser, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,12 +173,15 @@ class TrafficCase(_Situation):
     Attributes:
         net_file: the network that the configuration names.
         sumo_options: beside the configuration, as on SUMO's command line.
+        own_people: whether pedestrians and cyclists of the demand are there; if not, the made ones
+            are the only people.
     """
 
     config: Path
     start_s: float
     net_file: Path
     sumo_options: tuple[str, ...] = ()
+    own_people: bool = True
 
 
 Case = RecordedCase | TrafficCase

@@ -141,6 +141,13 @@ def _beside_lanes(
     return set(found.tolist())
 
 
+def roadways(net: NetFile) -> list[Floats]:
+    """Outlines (N, 2) of all junctions without their walking areas, N >= 3."""
+    walking = _walking_areas(net)
+    rings = (_roadway(one.shape_m, walking.get(one.id, [])) for one in net.junctions)
+    return [ring for ring in rings if len(ring) > 2]
+
+
 def _walking_areas(net: NetFile) -> dict[str, list[Floats]]:
     """Outlines of the walking areas of each junction, which has them in its own outline."""
     found: dict[str, list[Floats]] = defaultdict(list)

@@ -63,6 +63,10 @@ class Bodies:
         """Of an agent that has been asked for; raises KeyError for others."""
         return self._known[agent]
 
+    def declare(self, agent: AgentId, body: Body) -> None:
+        """What an agent is, whatever its class in SUMO says: a made person is a vehicle there."""
+        self._known[agent] = body
+
     def ask(self, agent: AgentId) -> Body:
         """Of an agent that is present, or has been asked for before."""
         body = self._known.get(agent)

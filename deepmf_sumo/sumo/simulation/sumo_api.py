@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, Protocol, cast
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import VehicleModel
+from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.sumo.simulation import sumo_words
 
 Backend = Literal["libsumo", "traci", "gui"]
@@ -165,6 +166,8 @@ def _of_backend(backend: Backend) -> tuple[str, ...]:
 AV_TYPE = "deepmf_av"
 PLACED_TYPE = "deepmf_placed"
 TRAFFIC_TYPE = "deepmf_traffic"
+MADE_TYPE = "deepmf_made_"
+"""Beginning of the types of made people; the class of road users follows."""
 ANY_ROUTE = "deepmf_any"
 """Route of vehicles without a route of their own."""
 
@@ -178,11 +181,28 @@ _TRAFFIC = (
     f'<vType id="{TRAFFIC_TYPE}" carFollowModel="IDM" accel="1.5" decel="2" emergencyDecel="8" '
     'tau="1.5" minGap="2" speedFactor="1" speedDev="0"/>'
 )
+# Made people may be anywhere, and SUMO's cars stop close behind them. IDM draws no random numbers,
+# so that they change nothing for those who do not meet them; and they have no devices.
+_MADE = (
+    '<vType id="{id}" vClass="ignoring" carFollowModel="IDM" length="{length:g}" width="{width:g}" '
+    'height="{height:g}" minGap="0.25" speedFactor="1" speedDev="0" maxSpeed="{fastest:g}">'
+    '<param key="has.rerouting.device" value="false"/></vType>'
+)
+
+
+def _made_types() -> Iterator[str]:
+    for name, one in ROAD_USERS.items():
+        if one.person:
+            length, width, height = one.size_m
+            yield _MADE.format(
+                id=MADE_TYPE + name, length=length, width=width, height=height,
+                fastest=one.motion.fastest_mps,
+            )  # fmt: skip
 
 
 def write_types(path: Path, model: VehicleModel | None) -> Path:
     """Write an additional file with the types; without a model there is no AV type."""
-    lines = [_PLACED, _TRAFFIC]
+    lines = [_PLACED, _TRAFFIC, *_made_types()]
     if model is not None:
         lines.append(_av_type(model))
     path.write_text("<additional>\n    " + "\n    ".join(lines) + "\n</additional>\n", "utf-8")

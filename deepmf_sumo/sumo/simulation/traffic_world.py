@@ -3,8 +3,10 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from shapely.geometry.base import BaseGeometry
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import (
@@ -14,6 +16,7 @@ from deepmf_sumo.scene import (
     Command,
     Driver,
     Event,
+    Floats,
     RoadMap,
     SignalState,
     TrafficCase,
@@ -21,13 +24,15 @@ from deepmf_sumo.scene import (
     agent_ids,
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
+from deepmf_sumo.sumo.network.carriageway import carriageway_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.sumo.simulation.made_people import MadePeople, OwnerOfMade
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.ownership import NextOwner
-from deepmf_sumo.sumo.simulation.road_users import TrafficReader, on_foot
+from deepmf_sumo.sumo.simulation.road_users import TrafficReader, kind_of, on_foot
 from deepmf_sumo.sumo.simulation.shown_motion import read_pose
 from deepmf_sumo.sumo.simulation.sumo_api import AV_TYPE, Backend, SumoApi
 from deepmf_sumo.sumo.simulation.sumo_config import (
@@ -42,6 +47,7 @@ from deepmf_sumo.sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
 """Time after the start in which the message looks for a missing AV."""
+_PEOPLE = {"pedestrian", "cyclist"}
 
 
 @contextmanager
@@ -66,19 +72,27 @@ class TrafficWorld:
         model: VehicleModel | None,
     ) -> None:
         self.events: list[Event] = []
+        self._av_id = case.av_id
         self._api = api
         self._reader = TrafficReader(api, case.av_id)
         self._step = HISTORY_STEPS - 1
+        self._driven: set[AgentId] = set()
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case, configuration)
-        self._frames = self._run_to(case.start_s)
+        self._takeover = Takeover(api, self.events, leaves=True)
+        self._made = self._made_of(case)
+        self._frames = self._run_to(case)
         if case.av_id not in api.vehicle.getIDList():
             raise SimulationError(_absent(api, case))
         self._only = None if case.only is None else _named(api, {case.av_id, *case.only})
         if self._only is not None:
             self._leave_out_others(self._only)
             self._frames = [_of_bodies(frame, self._only) for frame in self._frames]
+        self._own_people = case.own_people
+        if not self._own_people:
+            self._leave_out_people(api.vehicle.getIDList())
+            self._frames = [self._without_people(frame) for frame in self._frames]
         self._frame = self._frames[-1]
         if detail := self._reader.bodies.stiffened():
             event = Event(step=self._step, agent_id=case.av_id, kind="av_is_stiff", detail=detail)
@@ -88,8 +102,8 @@ class TrafficWorld:
         length = self.body(case.av_id).size_m[0]
         start = read_pose(api, case.av_id, length)
         self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road))
-        self._takeover = Takeover(api, self.events, leaves=True)
-        self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy)
+        of_sumo = SumoOwner(self._takeover, self._occupancy)
+        self.next_owner: NextOwner = OwnerOfMade(self._made, of_sumo) if case.made else of_sumo
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
     def _way_back(self, road: RoadMap) -> WayBack:
@@ -125,7 +139,9 @@ class TrafficWorld:
         """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
         self.av.drive(command)
-        for agent, pose in poses.items():
+        self._driven = {agent for agent, pose in poses.items() if pose is not None}
+        made = self._made.poses(self._since_start_s(), poses, self.next_owner.clear)
+        for agent, pose in {**poses, **made}.items():
             if pose is not None:
                 self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
             else:
@@ -133,6 +149,8 @@ class TrafficWorld:
         self._api.simulationStep()
         if self._only is not None:
             self._leave_out_others(self._only)
+        if not self._own_people:
+            self._leave_out_people(self._api.simulation.getDepartedIDList())
         if self.av.present:
             self.av.after_step()
         self._takeover.after_step()
@@ -165,7 +183,8 @@ class TrafficWorld:
             shown[av.id] = self._raised(av.id, av.pose, frame, put=put), Driver.PLANNER
         for agent, pose in self._takeover.placed().items():
             if agent in frame.ids:
-                shown[agent] = self._raised(agent, pose, frame, put=True), Driver.POLICY
+                driver = Driver.POLICY if agent in self._driven else Driver.SUMO
+                shown[agent] = self._raised(agent, pose, frame, put=True), driver
         return frame.with_poses(shown)
 
     def _raised(self, agent: AgentId, pose: Pose, frame: Frame, *, put: bool) -> Pose:
@@ -185,16 +204,49 @@ class TrafficWorld:
         size_m = np.array([self.body(agent).size_m[:2] for agent in self._frame.ids])
         return Occupancy(frame=self._frame, size_m=size_m, av_id=self.av.id)
 
-    def _run_to(self, start_s: float) -> list[Frame]:
-        """Run SUMO up to the start; the frames of the last second."""
+    def _run_to(self, case: TrafficCase) -> list[Frame]:
+        """Run SUMO up to the start; the frames of the last second, with the made people."""
+        now, start_s = self._api.simulation.getTime, case.start_s
         recorded_from = start_s - (HISTORY_STEPS - 1) * DT_S
-        if self._api.simulation.getTime() < recorded_from - DT_S / 2:
-            self._api.simulationStep(recorded_from)
-        frames = [self._reader.read()]
-        while self._api.simulation.getTime() < start_s - DT_S / 2:
-            self._api.simulationStep()
+        enters_s = recorded_from - DT_S if case.made else recorded_from
+        if now() < enters_s - DT_S / 2:
+            self._api.simulationStep(enters_s)
+        frames = []
+        if case.made:
+            self._made.enter(now() + DT_S - start_s)
+        else:
             frames.append(self._reader.read())
+        while now() < start_s - DT_S / 2:
+            if frames:
+                self._place_made(now() + DT_S - start_s)
+            self._api.simulationStep()
+            self._takeover.after_step()
+            frames.append(self._with_made(self._reader.read(), now() - start_s))
         return frames[-HISTORY_STEPS:]
+
+    def _made_of(self, case: TrafficCase) -> MadePeople:
+        """The made people of a case, known to all who ask what an agent is."""
+        only = None if case.only is None else set(case.only)
+        made = [one for one in case.made if only is None or one.id in only]
+        found = MadePeople(self._api, made, partial(_carriageway, case))
+        for agent, body in found.bodies().items():
+            self._reader.bodies.declare(agent, body)
+        return found
+
+    def _place_made(self, time_s: float) -> None:
+        """Where they are at the end of the coming step, before the case has begun."""
+        for agent, pose in self._made.poses(time_s, {}, lambda *_: True).items():
+            self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
+
+    def _with_made(self, frame: Frame, time_s: float) -> Frame:
+        """A frame of the history with the made people exactly where they are."""
+        made = self._made.poses(time_s, {}, lambda *_: True)
+        there = {name: (pose, Driver.SUMO) for name, pose in made.items() if name in frame.ids}
+        return frame.with_poses(there)
+
+    def _since_start_s(self) -> float:
+        """Time of the end of the coming step."""
+        return (self._step - (HISTORY_STEPS - 1)) * DT_S
 
     def _leave_out_others(self, only: Collection[AgentId]) -> None:
         """Take everybody else off the road, before any of them has moved."""
@@ -206,11 +258,32 @@ class TrafficWorld:
             if agent_ids.of_person(name) not in only and on_foot(person.getVehicle(name)):
                 person.remove(name)
 
+    def _leave_out_people(self, vehicles: Sequence[str]) -> None:
+        """Take persons on foot and those of the vehicles that are cyclists off the road."""
+        vehicle, person = self._api.vehicle, self._api.person
+        for name in vehicles:
+            if name != self._av_id and kind_of(vehicle.getVehicleClass(name)) in _PEOPLE:
+                vehicle.remove(name)
+        for name in person.getIDList():
+            if on_foot(person.getVehicle(name)):
+                person.remove(name)
+
+    def _without_people(self, frame: Frame) -> Frame:
+        """The frame without the people of the demand."""
+        kept = {self._av_id, *self._made.ids}
+        return frame.of_agents(
+            {one for one in frame.ids if one in kept or self.body(one).kind not in _PEOPLE}
+        )
+
     def _note_step_length(self, configuration: Configuration) -> None:
         if abs(configuration.step_s - DT_S) > 1e-9:
             detail = f"{configuration.file.name} asks for {configuration.step_s:g} s, run at 0.1 s"
             event = Event(step=self._step, agent_id="", kind="step_length_changed", detail=detail)
             self.events.append(event)
+
+
+def _carriageway(case: TrafficCase, position_m: Floats, reach_m: float, z_m: float) -> BaseGeometry:
+    return carriageway_of(case.net_file).near(position_m, reach_m, z_m)
 
 
 def _named(api: SumoApi, only: set[AgentId]) -> set[AgentId]:

@@ -1,0 +1,79 @@
+"""Where vehicles drive, as areas: what a person beside the road must not stand on.
+
+Lanes for vehicles, bicycles and trains with their widths, and the outlines of junctions without
+walking areas. Footways, and strips that are closed to all, are no part of it.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from deepmf_sumo.scene import Floats
+from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.sumo.network.sumo_net import NetFile, NetLane, read_once
+from deepmf_sumo.sumo.network.sumo_road import roadways
+
+_DRIVING: Final = (
+    *("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency", "bicycle"),
+    *("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway"),
+)
+_ON_FOOT: Final = {"crossing", "walkingarea"}
+_NOT_HERE: Final = {*_ON_FOOT, "connector"}
+
+
+def driven_on(lane: NetLane) -> bool:
+    """Whether anything but people on foot moves on a lane."""
+    return any(lane.allows(one) for one in _DRIVING)
+
+
+class Carriageway:
+    """The areas of a network on which vehicles drive.
+
+    A junction without heights of its own is at that of the nearest lane.
+    """
+
+    def __init__(self, net: NetFile) -> None:
+        lanes = [
+            lane
+            for edge in net.edges.values()
+            if edge.function not in _NOT_HERE
+            for lane in edge.lanes
+            if len(lane.shape_m) > 1 and driven_on(lane)
+        ]
+        areas = [_area(lane) for lane in lanes]
+        heights = [float(lane.shape_m[:, 2].mean()) for lane in lanes]
+        rings = [shapely.buffer(shapely.Polygon(ring), 0.0) for ring in roadways(net)]
+        self._lane_areas = np.array(areas, object)
+        tree = shapely.STRtree(self._lane_areas) if areas else None
+        for ring in rings:
+            near = None if tree is None else tree.nearest(ring)
+            heights.append(heights[int(near)] if near is not None else 0.0)
+        self._areas = np.array([*areas, *rings], object)
+        self._z_m = np.array(heights)
+        self._tree = shapely.STRtree(self._areas)
+
+    def near(self, position_m: Floats, reach_m: float, z_m: float = 0.0) -> BaseGeometry:
+        """The union of what is within reach of a position (2,), and on its level."""
+        place = shapely.Point(*np.asarray(position_m, float))
+        rows = np.sort(self._tree.query(place, predicate="dwithin", distance=reach_m))
+        rows = rows[~clear(self._z_m[rows], np.array(z_m))]
+        return shapely.union_all(self._areas[rows])
+
+
+def _area(lane: NetLane) -> BaseGeometry:
+    line = shapely.LineString(lane.shape_m[:, :2])
+    return shapely.buffer(line, lane.width_m / 2, cap_style="flat", join_style="mitre")
+
+
+def carriageway_of(net_file: Path) -> Carriageway:
+    """Of a network file; the last ones are kept as long as the files stay as they are."""
+    return _stamped(net_file, net_file.stat().st_mtime_ns if net_file.exists() else -1)
+
+
+@lru_cache(maxsize=2)
+def _stamped(net_file: Path, _stamp: int) -> Carriageway:
+    return Carriageway(read_once(net_file))

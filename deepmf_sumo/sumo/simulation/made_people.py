@@ -1,0 +1,257 @@
+"""Made people in SUMO: how they get there, how they move, and how they leave the road.
+
+In SUMO a made road user is a vehicle of the class ``ignoring``, which may be anywhere. SUMO's own
+persons would end the simulation on a network without footways. It is placed at every step: beside
+the lanes SUMO's vehicles do not see it; on a lane they brake for it as for a vehicle (measured with
+SUMO 1.28: from where its box reaches into the lane on).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from deepmf_sumo.scene import DT_S, AgentId, Floats, MadeRoadUser
+from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.road_users import ROAD_USERS, RoadUser
+from deepmf_sumo.sumo.simulation.frame import Body, Pose
+from deepmf_sumo.sumo.simulation.ownership import NextOwner
+from deepmf_sumo.sumo.simulation.sumo_api import ANY_ROUTE, MADE_TYPE, SumoApi
+from deepmf_sumo.sumo.simulation.vehicle_control import move
+
+WALK_MPS: Final = 1.36
+"""Mean speed of a walk (Randles, 288 people)."""
+_TURN_RAD: Final = 0.15
+"""A person turns at most so far in a step."""
+_AHEAD_M: Final = 0.5
+"""The heading on a way is that of the chord from so far behind to so far ahead."""
+BESIDE_M: Final = 0.5
+"""Between the road and the box of a person who has left it."""
+_REACH_M: Final = 25.0
+_ANYWHERE_M: Final = 1000.0
+"""SUMO inserts a vehicle near a lane alone; it is put exactly where it belongs all the same."""
+_THERE_M: Final = 0.1
+_SHOWS_MPS: Final = 0.2
+"""Slower motion does not turn a body."""
+_AT_REST_MPS: Final = 0.02
+
+Around = Callable[[Floats, float, float], BaseGeometry]
+"""The carriageway within reach of a position (2,), at a height."""
+
+
+def body_of(made: MadeRoadUser) -> Body:
+    """Kind and size."""
+    one = ROAD_USERS[made.road_user]
+    return Body(kind=one.kind, size_m=one.size_m)
+
+
+def without_attack(made: MadeRoadUser, time_s: float) -> Pose:
+    """Where it is at a time, in s after the start, if nobody takes it over.
+
+    It keeps its speed along its way, and brakes as it is planned for its class, to stop at the end
+    of the way.
+    """
+    at, way = np.asarray(made.position_m, float), made.way_m
+    if way is None or made.speed_mps <= 0 or len(way) < 2:
+        return Pose(
+            x_m=float(at[0]),
+            y_m=float(at[1]),
+            heading_rad=made.heading_rad,
+            speed_mps=0.0,
+            z_m=made.z_m,
+        )
+    length_m = float(polylines.arc_lengths(way)[-1])
+    begin_m = float(polylines.project(way, at).along_m)
+    brake = ROAD_USERS[made.road_user].motion.planned.brake
+    gone_m, speed = _braked(made.speed_mps, brake, length_m - begin_m, time_s)
+    here_m = begin_m + gone_m
+    measured = polylines.Measured(way)
+    ends = np.array([max(here_m - _AHEAD_M, 0.0), min(here_m + _AHEAD_M, length_m)])
+    (behind, ahead), _ = measured.at(ends)
+    place, _ = measured.at(np.array(here_m))
+    return Pose(
+        x_m=float(place[0]),
+        y_m=float(place[1]),
+        heading_rad=float(np.arctan2(*(ahead - behind)[::-1])),
+        speed_mps=speed,
+        z_m=made.z_m,
+    )
+
+
+def _braked(speed: float, brake: float, left_m: float, time_s: float) -> tuple[float, float]:
+    """Way gone and speed after a time, of one that comes to rest after ``left_m``."""
+    stops_m = min(speed**2 / (2 * brake), left_m)
+    if stops_m <= 0:
+        return min(speed * time_s, left_m), 0.0 if time_s >= 0 else speed
+    brake = speed**2 / (2 * stops_m)
+    steady_s = (left_m - stops_m) / speed
+    if time_s <= steady_s:
+        return speed * time_s, speed
+    braking_s = min(time_s - steady_s, speed / brake)
+    gone_m = speed * steady_s + speed * braking_s - brake * braking_s**2 / 2
+    return gone_m, max(speed - brake * braking_s, 0.0)
+
+
+class WayOff:
+    """The way of a person off the road, from wherever a policy let go of it.
+
+    It walks to the nearest place beside the carriageway and stays. Its velocity changes by at most
+    what is planned for its class, and it does not step into a box that is in its way.
+
+    Args:
+        pose: the last one of the policy.
+        user: its class.
+        around: the carriageway.
+    """
+
+    def __init__(self, pose: Pose, user: RoadUser, around: Around) -> None:
+        self._pose, self._limits = pose, user.motion.planned
+        self._velocity = pose.speed_mps * frames.unit(
+            np.array(pose.heading_rad if pose.course_rad is None else pose.course_rad)
+        )
+        here = np.array([pose.x_m, pose.y_m])
+        stop_m = pose.speed_mps**2 / (2 * self._limits.brake)
+        comes_to = here + stop_m * frames.unit(np.array(pose.heading_rad))
+        self._goal = _beside(comes_to, user, around(here, _REACH_M, pose.z_m))
+
+    def next(self, clear: Callable[[Sequence[Pose]], bool]) -> Pose:
+        """The pose after one more step; ``clear`` says whether poses are free."""
+        pose = self._stepped(self._wanted())
+        if pose.speed_mps > _AT_REST_MPS and not clear([pose]):
+            pose = self._stepped(np.zeros(2))
+        self._pose = pose
+        return pose
+
+    def _wanted(self) -> Floats:
+        """The velocity (2,) that takes it to its goal, and lets it stop there."""
+        off = self._goal - np.array([self._pose.x_m, self._pose.y_m])
+        away_m = float(np.hypot(*off))
+        if away_m < _THERE_M:
+            return np.zeros(2)
+        fastest = min(WALK_MPS, float(np.sqrt(self._limits.brake * away_m)))
+        return np.asarray(fastest * off / away_m, float)
+
+    def _stepped(self, wanted: Floats) -> Pose:
+        change = wanted - self._velocity
+        braking = float(wanted @ wanted) < float(self._velocity @ self._velocity)
+        most = DT_S * (self._limits.brake if braking else self._limits.accel)
+        size = float(np.hypot(*change))
+        before = self._velocity
+        after = before + change * (min(1.0, most / size) if size > 0 else 0.0)
+        if float(np.hypot(*after)) < _AT_REST_MPS:
+            after = np.zeros(2)
+        self._velocity = after
+        moved = (before + after) / 2 * DT_S
+        heading, speed = self._pose.heading_rad, float(np.hypot(*after))
+        if speed > _SHOWS_MPS:
+            course = float(np.arctan2(after[1], after[0]))
+            turn = float(frames.difference(course, heading))
+            heading = float(frames.wrap(heading + np.clip(turn, -_TURN_RAD, _TURN_RAD)))
+        return Pose(
+            x_m=self._pose.x_m + float(moved[0]),
+            y_m=self._pose.y_m + float(moved[1]),
+            heading_rad=heading,
+            speed_mps=speed,
+            course_rad=float(np.arctan2(after[1], after[0])) if speed > 0 else None,
+            z_m=self._pose.z_m,
+        )
+
+
+def _beside(place_m: Floats, user: RoadUser, carriageway: BaseGeometry) -> Floats:
+    """The nearest place (2,) at which a box of a class is beside the carriageway."""
+    away_m = BESIDE_M + max(user.size_m[:2]) / 2
+    kept = shapely.buffer(carriageway, away_m)
+    place = shapely.Point(*place_m)
+    if not kept.contains(place):
+        return place_m
+    way = shapely.shortest_line(shapely.boundary(kept), place)
+    return np.asarray(shapely.get_coordinates(way)[0], float)
+
+
+class MadePeople:
+    """The made people of a running SUMO.
+
+    Args:
+        api: a running SUMO.
+        made: who is there.
+        around: the carriageway.
+
+    Attributes:
+        ids: of all of them.
+    """
+
+    def __init__(self, api: SumoApi, made: Sequence[MadeRoadUser], around: Around) -> None:
+        self._api, self._around = api, around
+        self._made = {one.id: one for one in made}
+        self.ids = frozenset(self._made)
+        self._taken: dict[AgentId, Pose] = {}
+        self._leaving: dict[AgentId, WayOff] = {}
+
+    def bodies(self) -> dict[AgentId, Body]:
+        """What each is, by id."""
+        return {name: body_of(one) for name, one in self._made.items()}
+
+    def enter(self, time_s: float) -> None:
+        """Put all of them where they are at a time, in s after the start, with the next step."""
+        if not self._made:
+            return
+        api = self._api
+        road = next(one for one in api.edge.getIDList() if not one.startswith(":"))
+        api.route.add(ANY_ROUTE, [road])
+        for name, one in self._made.items():
+            api.vehicle.add(name, ANY_ROUTE, typeID=MADE_TYPE + one.road_user, departSpeed="0")
+            pose = without_attack(one, time_s)
+            move(api, name, pose, body_of(one).size_m[0], _ANYWHERE_M)
+
+    def poses(
+        self,
+        time_s: float,
+        driven: Mapping[AgentId, Pose | None],
+        clear: Callable[[AgentId, Sequence[Pose]], bool],
+    ) -> dict[AgentId, Pose]:
+        """Where those whom no policy drives are at a time, in s after the start.
+
+        ``driven``: the poses of a policy; who had one before leaves the road.
+        """
+        found: dict[AgentId, Pose] = {}
+        for name, one in self._made.items():
+            given = driven.get(name)
+            if given is not None:
+                self._taken[name] = given
+                self._leaving.pop(name, None)
+                continue
+            if name in self._taken:
+                user = ROAD_USERS[one.road_user]
+                pose = self._taken.pop(name)
+                self._leaving[name] = WayOff(pose, user, self._around)
+            if name in self._leaving:
+                found[name] = self._leaving[name].next(partial(clear, name))
+            else:
+                found[name] = without_attack(one, time_s)
+        return found
+
+
+class OwnerOfMade:
+    """The next owner of all: made people leave the road by themselves, from wherever they are."""
+
+    def __init__(self, made: MadePeople, others: NextOwner) -> None:
+        self._made, self._others = made, others
+
+    def creep_mps(self, agent: AgentId) -> float:
+        """As of other vehicles."""
+        return self._others.creep_mps(agent)
+
+    def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:
+        """Whether the agent goes on without a jump: made people do."""
+        return agent in self._made.ids or self._others.takes(agent, step, pose)
+
+    def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
+        """As of other vehicles."""
+        return self._others.clear(agent, poses)
+
+    def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
+        """As of other vehicles."""
+        return self._others.lane_cost(agent, lane_id)
