@@ -16,6 +16,7 @@ from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.networks.opponent import Opponent
+from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
 from deepmf_sumo.deepmf.opponent import choose, highest
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
@@ -54,6 +55,11 @@ class PredictorSet(Protocol):
     @property
     def conditional(self) -> Conditional:
         """Futures of the AV given the opponent's: phi_C."""
+        ...
+
+    @property
+    def people(self) -> People:
+        """Futures of an opponent on foot or on a bicycle."""
         ...
 
 

@@ -21,7 +21,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,6 +30,7 @@ from typing import Any, Final, Literal, Protocol
 from deepmf_sumo import files as files_module
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.opponent import Opponent, OpponentNetwork
+from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, Marginal, TrajectoryNetwork
 from deepmf_sumo.errors import WeightsError
 
@@ -62,7 +63,7 @@ _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Predictors:
-    """The three predictors of one set of weights.
+    """The three predictors of one set of weights, and that of people, which has none.
 
     Attributes:
         name: as given to `load`. folder: None for random weights.
@@ -73,6 +74,7 @@ class Predictors:
     opponent: Opponent
     marginal: Marginal
     conditional: Conditional
+    people: People = field(default_factory=People)
 
 
 def load(name: str | Path, computed_by: str | None = None) -> Predictors:
