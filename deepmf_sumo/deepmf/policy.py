@@ -6,12 +6,12 @@ reactions, collide all pairs, apply the constraints, choose.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from deepmf_sumo.deepmf import candidates, constraints, scoring
+from deepmf_sumo.deepmf import candidates, constraints, scoring, support
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.experience import Experience, Predicted
@@ -71,6 +71,7 @@ class _Attack:
         begun: step of the first plan; None before it.
         last: the last plan.
         ready: ``last`` was made when opponents were compared, and has not been returned yet.
+        supporter: the last plan of the vehicle that supports it; None without one.
     """
 
     opponent_id: AgentId
@@ -78,6 +79,7 @@ class _Attack:
     begun: int | None = None
     last: Plan | None = None
     ready: bool = False
+    supporter: Plan | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +152,10 @@ class DeepMF:
         return (self._attack.opponent_id,)
 
     def plan(self, view: View) -> Mapping[AgentId, Plan]:
-        """The opponent's next 8 s; empty if the opponent or the AV is not in the view."""
+        """The next 8 s of the opponent, and of a supporter where there is one.
+
+        Empty if the opponent or the AV is not in the view.
+        """
         attack, present = self._attack, view.history.ids
         if attack is None or attack.opponent_id not in present or view.av_id not in present:
             return {}
@@ -158,8 +163,30 @@ class DeepMF:
         if plan is None or not attack.ready:
             watch = Stopwatch()
             plan = self._plan(view, attack, self._predict_av(view, watch), watch)
+        if self._settings.supporting:
+            plan = self._supported(view, attack, plan)
         attack.last, attack.ready = plan, False
-        return {attack.opponent_id: plan}
+        supporter = attack.supporter
+        beside = {supporter.agent_id: supporter} if supporter is not None else {}
+        return {attack.opponent_id: plan, **beside}
+
+    def _supported(self, view: View, attack: _Attack, plan: Plan) -> Plan:
+        """The plan, which says who supports it; the supporter's own is kept in the attack."""
+        watch, last = Stopwatch(), self._experience.last
+        situation = Situation.of(view, plan.agent_id, self._settings.limits, None, None, last)
+        found = support.supported(
+            support.AttackPlan.of(situation, plan),
+            self._predictors.marginal,
+            self._settings.candidates,
+            attack.supporter,
+        )
+        attack.supporter = found.plan
+        watch.lap("support")
+        self.seconds += watch.seconds
+        assert plan.reason is not None
+        spent = plan.reason.milliseconds | watch.milliseconds
+        reason = replace(plan.reason, support=found.support, milliseconds=spent)
+        return replace(plan, reason=reason)
 
     def _not_given_up(self, scores: OpponentScores) -> list[AgentId]:
         """The vehicles to make a first plan for; all again after each was given up."""

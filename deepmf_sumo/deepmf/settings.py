@@ -46,6 +46,7 @@ _PAPER: Final[dict[str, Any]] = {
     "constraints": (),
     "goal": "hit",
     "tries": 1,
+    "supporting": 0,
 }
 """Values of ``form: paper``: keys with other values contradict it."""
 _PAPER_RULES: Final = ("expected", "pair")
@@ -109,6 +110,8 @@ class Settings(plugins.Settings):
         tries: maximum number of episodes; each knows what the AV did in those before, see
             `deepmf.experience`. The first that reaches the goal is the attack, without one the
             best: a hit before a miss, then the nearest. Offline only.
+        supporting: 1: beside the attacker another vehicle, within its own prediction, takes the
+            AV's ways out without touching anybody, see `deepmf.support`. Offline only.
     """
 
     form: Literal["paper", "extended"] = "extended"
@@ -134,6 +137,7 @@ class Settings(plugins.Settings):
     constraints: tuple[str, ...] = Field(default=(), strict=False)
     goal: Goal = "hit"
     tries: int = Field(default=1, ge=1, le=1000)
+    supporting: int = Field(default=0, ge=0, le=1)
 
     @property
     def takes_turns(self) -> bool:
@@ -220,7 +224,7 @@ class Settings(plugins.Settings):
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Results contain these keys only with values that are not the defaults."""
         values: dict[str, Any] = handler(self)
-        for key in ("form", "goal", "tries"):
+        for key in ("form", "goal", "tries", "supporting"):
             if getattr(self, key) == type(self).model_fields[key].default:
                 del values[key]
         return values

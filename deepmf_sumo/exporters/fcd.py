@@ -28,7 +28,8 @@ FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
 FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
 _COLOURS: Final[dict[Role, str]] = {
-    "av": "200,30,30", "opponent": "240,140,0", "attacker": "240,140,0", "other": "120,130,150",
+    "av": "200,30,30", "opponent": "240,140,0", "attacker": "240,140,0",
+    "supporter": "250,220,90", "other": "120,130,150",
 }  # fmt: skip
 _SHAPES: Final[dict[RoadUserClass, str]] = {
     "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",

@@ -120,6 +120,7 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
       lane can meet an AV head-on anywhere.
     - Nothing with wheels moves as the opponent did.
     - The AV or the opponent had touched another road user before.
+    - A supporter touched anybody: it was to take ways out from the AV by its place alone.
     """
     rollout, meeting = episode.rollout, hit.meeting
     last = _speeds(rollout, meeting.av, meeting.step, LAST_S)
@@ -137,6 +138,8 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
         pass
     if not collision_clean.compute(episode):
         yield "touched_another"
+    if any({one.first_id, one.second_id} & {*rollout.supporters} for one in rollout.contacts):
+        yield "supporter_touched"
 
 
 def _rams(rollout: Rollout, hit: Hit) -> bool:

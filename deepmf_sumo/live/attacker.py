@@ -152,6 +152,11 @@ def policy_of(spec: Spec) -> Policy:
             f"adversary.tries {settings.tries}: a running simulation cannot be tried again;"
             " leave it at 1."
         )
+    if settings.supporting:
+        raise UsageError(
+            "adversary.supporting 1: in a simulation of another program only attackers are driven;"
+            " leave it at 0."
+        )
     from deepmf_sumo.deepmf.networks import weights
     from deepmf_sumo.deepmf.networks.weights import one_thread
 

@@ -22,6 +22,7 @@ _CONTRIVED: Final = {
     "off_road": "the {other} left the road",
     "infeasible": "no {other} moves like that",
     "touched_another": "one of the two had touched another road user before",
+    "supporter_touched": "the road user that supported it touched somebody",
 }
 """Why a hit says little about the AV, by the reasons of `judge.ladder`."""
 _ALSO: Final = {

@@ -1,6 +1,6 @@
 """Results -> rows of the table that a terminal shows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from deepmf_sumo.results import findings
@@ -16,6 +16,7 @@ OUTCOMES: Final = {
     "av_opponent": "AV hit by opponent",
     "av_other": "AV hit another",
     "opponent_other": "opponent hit another",
+    "supporter_other": "supporter hit another",
     "none": "no contact",
 }
 
@@ -33,6 +34,7 @@ def _row(result: Result) -> tuple[str, ...]:
     contact = first_contact(result)
     opponent = result["opponent"] or "-"
     score = result["opponent_score"]
+    opponent += "".join(f", supported by {one}" for one in supporters(result))
     broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
     return (
         run_id,
@@ -43,6 +45,25 @@ def _row(result: Result) -> tuple[str, ...]:
         SECTORS[contact["sector"]] if contact and outcome.startswith("av") else "-",
         f"{result['timings']['generation_s']:.2f} s",
     )
+
+
+def supporters(result: Result) -> dict[str, str]:
+    """By supporter of the attack, which ways out it took from the AV: the mean over its plans."""
+    plans = [one for one in result.get("support", []) if one["agent_id"] is not None]
+    return {name: _ways(one for one in plans if one["agent_id"] == name) for name in _names(plans)}
+
+
+def _names(plans: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(one["agent_id"] for one in plans))
+
+
+def _ways(plans: Iterable[Mapping[str, Any]]) -> str:
+    """``left 80 %, right 10 % of the ways out in 7 plans``."""
+    found = list(plans)
+    ways = dict.fromkeys(way for one in found for way in one["ways"])
+    shares = {way: sum(one["ways"].get(way, 0.0) for one in found) / len(found) for way in ways}
+    told = [f"{way} {share:.0%}" for way, share in shares.items() if share > 0]
+    return f"{', '.join(told) or 'none'} of the ways out in {counted(len(found), 'plan')}"
 
 
 def counted(number: int, one: str, many: str = "") -> str:

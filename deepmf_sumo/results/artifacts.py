@@ -118,13 +118,16 @@ def read_predicted(folder: Path) -> Counterfactual | None:
 
 
 def _plan(plan: Plan) -> dict[str, NDArray[Any]]:
-    return {
+    arrays = {
         "agent_id": np.array(plan.agent_id),
         "first_step": np.array(plan.first_step),
         "position_m": plan.position_m,
         "heading_rad": plan.heading_rad,
         "speed_mps": plan.speed_mps,
     }
+    if plan.supports is not None:
+        arrays["supports"] = np.array(plan.supports)
+    return arrays
 
 
 def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
@@ -168,6 +171,7 @@ def _reason(reason: PlanReason) -> dict[str, NDArray[Any]]:
 
 def _read_plans(file: Path) -> tuple[Plan, ...]:
     with stored.arrays(file) as arrays:
+        supports = {name for name in arrays if name.endswith("/supports")}
         return tuple(
             Plan(
                 agent_id=str(arrays[f"{number:02d}/agent_id"]),
@@ -175,6 +179,9 @@ def _read_plans(file: Path) -> tuple[Plan, ...]:
                 position_m=arrays[f"{number:02d}/position_m"],
                 heading_rad=arrays[f"{number:02d}/heading_rad"],
                 speed_mps=arrays[f"{number:02d}/speed_mps"],
+                supports=str(arrays[name])
+                if (name := f"{number:02d}/supports") in supports
+                else None,
             )
             for number in range(int(arrays["plans"]))
         )

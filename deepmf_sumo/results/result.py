@@ -127,7 +127,7 @@ class ContactValues(TypedDict, total=False):
     """A contact, see `scene.Contact`.
 
     Attributes:
-        kind: ``av_opponent``, ``av_other`` or ``opponent_other``.
+        kind: ``av_opponent``, ``av_other``, ``opponent_other`` or ``supporter_other``.
         striker_id: the vehicle that moved faster towards the other one.
         time_s: since the simulation took over.
         relative_mps: length of the difference of the velocities at the step before.
@@ -210,6 +210,8 @@ class Result(TypedDict, total=False):
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
         turns: the attack of each vehicle, where several attack together or in turn.
+        support: of each plan of an attack with ``supporting``, its first step and
+            `scene.plan.Support`; missing of other attacks.
     """
 
     run_id: Required[str]
@@ -262,6 +264,7 @@ class Result(TypedDict, total=False):
     conversion: dict[str, Any] | None
     repairs: list[str]
     turns: list[dict[str, Any]] | None
+    support: list[dict[str, Any]]
 
 
 COLUMNS: Final = (
@@ -370,6 +373,13 @@ def finished(
     }
     if by_turn is not None:
         result["turns"] = by_turn
+    support = [
+        {"step": plan.first_step - rollout.now, **asdict(plan.reason.support)}
+        for plan in rollout.plans
+        if plan.reason and plan.reason.support
+    ]
+    if support:
+        result["support"] = support
     return result
 
 

@@ -186,6 +186,16 @@ class _Result(_Part):
     timings: _Timings
 
 
+class _Support(_Part):
+    """`scene.plan.Support`, and the first step of its plan."""
+
+    step: int
+    agent_id: str | None
+    ways: dict[str, float]
+    probability: float
+    note: str
+
+
 class _Finished(_Result):
     """That of a run that succeeded."""
 
@@ -207,6 +217,7 @@ class _Finished(_Result):
     repairs: list[str] = []
     search: _SearchPart
     turns: list[_Turn] | None = None
+    support: list[_Support] = []
 
 
 class _WholeMetric(_Metric):

@@ -44,8 +44,10 @@ from deepmf_sumo.scene.plan import (
     OpponentScores,
     Plan,
     PlanReason,
+    Support,
     Turn,
     TurnRules,
+    Way,
 )
 from deepmf_sumo.scene.rollout import (
     Attack,
@@ -125,6 +127,7 @@ __all__ = [
     "Source",
     "StopSign",
     "SumoNet",
+    "Support",
     "Tracks",
     "Traffic",
     "TrafficCase",
@@ -133,6 +136,7 @@ __all__ = [
     "TurnRules",
     "VehicleModel",
     "View",
+    "Way",
     "dtype_of",
     "frozen",
 ]

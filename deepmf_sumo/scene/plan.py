@@ -64,6 +64,27 @@ class OpponentScores(Frozen):
     partner_logits: Floats
 
 
+Way = Literal["brake", "left", "right"]
+"""A way out of an attack: the AV brakes, or swerves to a side."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Support:
+    """Another road user that helps a plan by taking the AV's ways out, or why there is none.
+
+    Attributes:
+        agent_id: the supporter; None without one.
+        ways: share of each way out that it takes, of those that are open without it.
+        probability: of its motion, among the candidates of its own prediction.
+        note: why there is none, or what kept it from taking more; empty if nothing did.
+    """
+
+    agent_id: AgentId | None = None
+    ways: dict[Way, float] = field(default_factory=dict)
+    probability: float = 0.0
+    note: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanReason(Frozen):
     """Diagnostics of a plan: what it was chosen from, and why.
@@ -92,6 +113,7 @@ class PlanReason(Frozen):
             (``fair``, ``lawful``), (N1, N2) pairs if it is a preference (``sector``).
         unmet: names of the constraints that no candidate meets.
         heat: where the opponent may be; None unless its predictor has dense goals.
+        support: of the plan by another road user; None if none was asked for.
     """
 
     scores: OpponentScores | None
@@ -111,6 +133,7 @@ class PlanReason(Frozen):
     allowed: dict[str, Bools] = field(default_factory=dict)
     unmet: tuple[str, ...] = ()
     heat: Heat | None = None
+    support: Support | None = None
 
     @property
     def fair(self) -> Bools | None:
@@ -139,10 +162,12 @@ class PlanReason(Frozen):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plan(Frozen):
-    """K poses for the opponent, for the steps first_step, first_step + 1, ...
+    """K poses for an attacker or a supporter, for the steps first_step, first_step + 1, ...
 
     Attributes:
         position_m: (K, 2) box centre. heading_rad, speed_mps: (K).
+        supports: the attacker that it helps by its motion, while it touches nobody itself; None of
+            an attacker.
     """
 
     agent_id: AgentId
@@ -151,6 +176,7 @@ class Plan(Frozen):
     heading_rad: Floats
     speed_mps: Floats
     reason: PlanReason | None = None
+    supports: AgentId | None = None
 
     def covers(self, step: int) -> bool:
         """Whether the plan has a pose for ``step``."""

@@ -26,7 +26,10 @@ class Policy(Protocol):
         ...
 
     def plan(self, view: View) -> Mapping[AgentId, Plan]:
-        """New plans from here on, by vehicle; the others keep their last ones."""
+        """New plans from here on, by vehicle; the others keep their last ones.
+
+        A plan whose ``supports`` is an attacker may be of any other road user: it supports.
+        """
         ...
 
 
@@ -54,7 +57,7 @@ def chosen(policy: Policy, view: View, rng: np.random.Generator) -> tuple[AgentI
 
 
 def planned(policy: Policy, view: View, attackers: Collection[AgentId]) -> Mapping[AgentId, Plan]:
-    """The new plans of a policy for the vehicles with which it attacks.
+    """The new plans of a policy for the vehicles with which it attacks, and their supporters.
 
     Raises PluginError for an answer that is no mapping, SimulationError for a plan of another
     vehicle.
@@ -66,8 +69,16 @@ def planned(policy: Policy, view: View, attackers: Collection[AgentId]) -> Mappi
             " by vehicle, {plan.agent_id: plan}, and {} where all keep their last plans."
         )
     for agent, plan in found.items():
+        if plan.agent_id == agent and _supports(plan, view, attackers):
+            continue
         if agent not in attackers or plan.agent_id != agent:
             known = ", ".join(f"'{one}'" for one in attackers)
             other = agent if agent not in attackers else plan.agent_id
             raise SimulationError(f"The policy planned for '{other}', but its opponent is {known}.")
     return found
+
+
+def _supports(plan: Plan, view: View, attackers: Collection[AgentId]) -> bool:
+    """Whether a plan is one of another road user that is there, for one of the attackers."""
+    others = {*view.history.ids} - {view.av_id, *attackers}
+    return plan.supports in attackers and plan.agent_id in others

@@ -11,9 +11,10 @@ from deepmf_sumo.scene._arrays import Bytes, Floats, Frozen
 from deepmf_sumo.scene.plan import Plan, Turn
 from deepmf_sumo.scene.scene import HISTORY_STEPS, AgentId, SignalState, Tracks
 
-ContactKind = Literal["av_opponent", "av_other", "opponent_other"]
-Role = Literal["av", "opponent", "attacker", "other"]
-"""``attacker``: one that attacks together with the opponent, the decisive attacker."""
+ContactKind = Literal["av_opponent", "av_other", "opponent_other", "supporter_other"]
+Role = Literal["av", "opponent", "attacker", "supporter", "other"]
+"""``attacker``: one that attacks together with the opponent, the decisive attacker;
+``supporter``: it takes ways out from the AV and shall touch nobody."""
 
 
 class Driver(IntEnum):
@@ -31,8 +32,10 @@ class Contact(Frozen):
     """Two boxes overlap for the first time.
 
     Attributes:
-        kind: by the roles of the two; ``opponent_other`` also of two that attack together.
-        first_id: the AV, or the opponent if the AV is not involved. second_id: the other.
+        kind: by the roles of the two; ``opponent_other`` also of two that attack together;
+            ``supporter_other``: of a supporter with a road user that is not of the attack.
+        first_id: the AV, or the opponent if the AV is not involved, or the supporter if neither is.
+        second_id: the other.
         striker_id: the vehicle that moved faster towards the other's box.
         pose_first, pose_second: (3) x, y, heading at the contact.
         relative_mps: length of the velocity difference at the last step before the contact.
@@ -106,9 +109,16 @@ class Rollout(Frozen):
         return next(iter(self.attackers), None)
 
     @property
+    def supporters(self) -> tuple[AgentId, ...]:
+        """The road users that supported the attackers, in the order of their first plans."""
+        plans = (plan for plan in self.plans if plan.supports in self.attackers)
+        return tuple(dict.fromkeys(plan.agent_id for plan in plans))
+
+    @property
     def roles(self) -> dict[AgentId, Role]:
-        """Of the AV and its attackers; all other agents are ``other``."""
-        found: dict[AgentId, Role] = dict.fromkeys(self.attackers, "attacker")
+        """Of AV, attackers and supporters; all other agents are ``other``."""
+        found: dict[AgentId, Role] = dict.fromkeys(self.supporters, "supporter")
+        found |= dict.fromkeys(self.attackers, "attacker")
         if self.opponent_id is not None:
             found[self.opponent_id] = "opponent"
         return {**found, self.av_id: "av"}
@@ -136,6 +146,7 @@ class Rollout(Frozen):
         together with this one are other road users.
         """
         attacker = turn.opponent_id
+        ours = [one for one in self.plans if attacker in (one.agent_id, one.supports)]
         stop = turn.last_step + 1
         seen = self.tracks.valid[:, max(0, turn.first_step + 1 - HISTORY_STEPS) : stop].any(axis=1)
         rows = np.flatnonzero(seen).tolist()
@@ -149,7 +160,7 @@ class Rollout(Frozen):
             attackers=(attacker,),
             contacts=tuple(one for one in self._contacts_of(attacker) if one.step in steps),
             events=tuple(event for event in self.events if event.step in steps),
-            plans=tuple(one for one in self.plans_of(attacker) if one.first_step in steps),
+            plans=tuple(one for one in ours if one.first_step in steps),
             ended=turn.ended,
             leaders=self.leaders[simulated],
             signals=self.signals[simulated],
@@ -162,8 +173,14 @@ class Rollout(Frozen):
             its_own = attacker in (one.first_id, one.second_id)
             if one.kind == "av_opponent" and not its_own:
                 yield replace(one, kind="av_other")
+            elif one.kind == "supporter_other":
+                if self._supports(one.first_id, attacker):
+                    yield one
             elif one.kind != "opponent_other" or its_own:
                 yield one
+
+    def _supports(self, agent: AgentId, attacker: AgentId) -> bool:
+        return any(plan.supports == attacker for plan in self.plans_of(agent))
 
 
 def decisive(turns: Sequence[Turn]) -> Turn | None:

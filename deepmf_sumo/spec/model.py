@@ -345,7 +345,9 @@ class Expect(Strict):
     """What must hold in every run of the spec; makes the spec a test."""
 
     av_collision: bool | None = Field(default=None, description="the AV touches another vehicle")
-    outcome: Literal["av_opponent", "av_other", "opponent_other", "none"] | None = None
+    outcome: (
+        Literal["av_opponent", "av_other", "opponent_other", "supporter_other", "none"] | None
+    ) = None
     max_contact_speed_mps: float | None = Field(default=None, ge=0)
     metrics: dict[str, Bound] = Field(default_factory=dict)
 

@@ -5,6 +5,7 @@ the first step at which the AV may react. Third parties are the agents that an e
 must not hit instead.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -13,7 +14,17 @@ import numpy as np
 from deepmf_sumo.judge.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach
-from deepmf_sumo.scene import Bools, Case, Contact, Floats, Ints, RecordedCase, Rollout, Tracks
+from deepmf_sumo.scene import (
+    AgentId,
+    Bools,
+    Case,
+    Contact,
+    Floats,
+    Ints,
+    RecordedCase,
+    Rollout,
+    Tracks,
+)
 from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.geometry.ground import clear, off_level
 
@@ -181,16 +192,19 @@ class ThirdParties(NamedTuple):
     size_m: Floats
 
 
-def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> ThirdParties:
-    """All agents but AV and opponent, from a step of the rollout on, on the AV's level.
+def third_parties_of(
+    rollout: Rollout, case: Case, first: int, steps: int, only: Collection[AgentId] | None = None
+) -> ThirdParties:
+    """Agents but AV and opponent, from a step of the rollout on, on the AV's level.
+
+    Of these ``only`` some; None: all.
 
     They move as simulated until the rollout ends; then as recorded, if the recording drives the
-    traffic, else at their last velocity.
+    traffic and they do not support the attack, else at their last velocity.
     """
     tracks = rollout.tracks
-    rows = [
-        r for r, name in enumerate(tracks.ids) if name not in {rollout.av_id, rollout.opponent_id}
-    ]
+    wanted = {*(tracks.ids if only is None else only)} - {rollout.av_id, rollout.opponent_id}
+    rows = [row for row, name in enumerate(tracks.ids) if name in wanted]
     known = min(tracks.steps - first, steps)
     shown = slice(first, first + known)
     position = np.zeros((len(rows), steps, 2))
@@ -205,7 +219,9 @@ def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> Th
     valid[:, known:] = valid[:, known - 1 : known]
     found = ThirdParties(position, heading, valid, tracks.size_m[rows, :2])
     if isinstance(case, RecordedCase) and case.traffic == "log":
-        _as_recorded(found, [tracks.ids[row] for row in rows], case.scene.tracks, first, known)
+        astray = rollout.supporters
+        ids = [None if (name := tracks.ids[row]) in astray else name for row in rows]
+        _as_recorded(found, ids, case.scene.tracks, first, known)
     av = tracks.row(rollout.av_id)
     heights = np.repeat(tracks.z_m[rows, first + known - 1, None], steps, axis=1)
     heights[:, :known] = tracks.z_m[rows, shown]
@@ -220,13 +236,17 @@ def third_parties_of(rollout: Rollout, case: Case, first: int, steps: int) -> Th
 
 
 def _as_recorded(
-    found: ThirdParties, ids: list[str], recorded: Tracks, first: int, known: int
+    found: ThirdParties, ids: Sequence[str | None], recorded: Tracks, first: int, known: int
 ) -> None:
-    """Replace motion at constant velocity by recorded poses, where they exist."""
+    """Replace motion at constant velocity by recorded poses, where they exist; None: by none."""
     begin, end = first + known, min(first + found.valid.shape[1], recorded.steps)
     if end <= begin:
         return
-    rows = [(mine, recorded.row(name)) for mine, name in enumerate(ids) if name in recorded.ids]
+    rows = [
+        (mine, recorded.row(name))
+        for mine, name in enumerate(ids)
+        if name is not None and name in recorded.ids
+    ]
     if not rows:
         return
     mine, theirs = np.array(rows).T

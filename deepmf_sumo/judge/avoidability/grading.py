@@ -99,12 +99,31 @@ def judge(rollout: Rollout, case: Case) -> Judgement | None:
         encounter.av_along_m,
         encounter.onset,
     )
+    avoided = outcome.avoided[:, 0] & ~_hits_supporter(encounter, rollout, case)
     return Judgement(
-        avoided_by={name: bool(outcome.avoided[d, 0]) for d, name in enumerate(MODELS)},
+        avoided_by={name: bool(avoided[d]) for d, name in enumerate(MODELS)},
         standing={name: bool(outcome.standing[d, 0]) for d, name in enumerate(MODELS)},
         manoeuvres=int(evasive_manoeuvres(encounter, rollout, case).sum()),
         onset_step=encounter.first_step + encounter.onset,
     )
+
+
+def _hits_supporter(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
+    """(D) whether each driver of `MODELS` touches a supporter of the attack instead.
+
+    Drivers know nothing of third parties, and brake; these vehicles were put in their way, or
+    behind them.
+    """
+    if not rollout.supporters:
+        return np.zeros(len(MODELS), bool)
+    along = reference_drivers.drive(
+        list(MODELS.values()), encounter.approach, encounter.av_along_m, encounter.onset
+    )
+    centre_m, heading = encounter.path.at(along[:, 0, encounter.onset :])
+    first = encounter.first_step + encounter.onset
+    others = third_parties_of(rollout, case, first, centre_m.shape[1], rollout.supporters)
+    stays = np.zeros(len(MODELS), bool)
+    return hit_by(centre_m, heading, others, encounter.approach.av_size_m, stays)
 
 
 def evasive_manoeuvres(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:

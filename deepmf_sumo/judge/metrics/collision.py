@@ -28,7 +28,8 @@ def collision_clean(episode: Episode) -> float:
     rollout = episode.rollout
     _slices.opponent_row(rollout)
     hit = rollout.first("av_opponent")
-    return hit is not None and not any(contact.step < hit.step for contact in rollout.contacts)
+    theirs = [one for one in rollout.contacts if one.kind != "supporter_other"]
+    return hit is not None and not any(contact.step < hit.step for contact in theirs)
 
 
 @metric("s", better="lower")

@@ -188,6 +188,7 @@ class AttackSchedule:
         self.closed: tuple[Turn, ...] = ()
         self.plans: list[Plan] = []
         self._ongoing: list[AttackingVehicle] = []
+        self._supporting: list[AttackingVehicle] = []
         self._leaving: list[AttackingVehicle] = []
         self._clear = True
         self._next = self._latest = view.step
@@ -197,6 +198,11 @@ class AttackSchedule:
     def attackers(self) -> tuple[AgentId, ...]:
         """The vehicles whose contact with the AV counts as a hit."""
         return tuple(one.id for one in self._ongoing)
+
+    @property
+    def supporters(self) -> tuple[AgentId, ...]:
+        """The vehicles that support the attackers by their motion (`Plan.supports`)."""
+        return tuple(one.id for one in self._supporting)
 
     @property
     def leaving(self) -> bool:
@@ -239,7 +245,10 @@ class AttackSchedule:
             return
         view = self._within_turn(view, there[0].first_step)
         plans = planned(self._policy, view, self.attackers)
-        for one in there:
+        for agent, plan in plans.items():
+            if plan.supports is not None and agent not in self.supporters:
+                self._supporting += self._joining([agent], view)
+        for one in (*there, *self._supporting):
             if one.id in plans:
                 one.follow(plans[one.id], view)
                 self.plans.append(plans[one.id])
@@ -251,7 +260,8 @@ class AttackSchedule:
         """
         poses = {one.id: one.leave(step) for one in self._leaving}
         self._leaving = [one for one in self._leaving if poses[one.id] is not None]
-        return poses | {one.id: one.advance(step) for one in self._ongoing}
+        driven = (*self._ongoing, *self._supporting)
+        return poses | {one.id: one.advance(step) for one in driven}
 
     def after_step(
         self, step: int, frame: Frame, size_m: Floats, hits: Collection[AgentId]
@@ -265,6 +275,7 @@ class AttackSchedule:
             hits: the attackers that have come into contact with the AV.
         """
         self._leaving = [one for one in self._leaving if one.id in frame.ids]
+        self._supporting = [one for one in self._supporting if one.id in frame.ids]
         if self._av not in frame.ids:
             return False
         if self._rules is None and len(self._ongoing) < 2:
@@ -307,13 +318,18 @@ class AttackSchedule:
                 return
 
     def _start(self, agents: Sequence[AgentId], view: View) -> None:
-        self._ongoing = [AttackingVehicle(agent, view, self._next_owner) for agent in agents]
+        self._ongoing = self._joining(agents, view)
+
+    def _joining(self, agents: Sequence[AgentId], view: View) -> list[AttackingVehicle]:
+        """Vehicles that the policy drives from now on; some may be on their way from before."""
+        joining = [AttackingVehicle(agent, view, self._next_owner) for agent in agents]
         before = {one.id: one for one in self._leaving}
-        for one in self._ongoing:
+        for one in joining:
             if one.id in before:
                 one.go_on_as(before.pop(one.id))
         self._leaving = list(before.values())
-        self._vehicles += self._ongoing
+        self._vehicles += joining
+        return joining
 
     def _choices(self, view: View, rules: TurnRules) -> Iterator[View]:
         """The view without vehicles that attacked lately, then with them.
@@ -354,6 +370,8 @@ class AttackSchedule:
                 self._close(one, step, ended or _own_end(one))
         self._ongoing = going
         if not going:
+            self._leaving += self._supporting
+            self._supporting = []
             self._clear = False
             self._next = step + _PAUSE_STEPS
             self._latest = step + _steps(rules.clear_s)

@@ -38,7 +38,7 @@ _APART_M = 0.25
 
 
 class ContactFinder:
-    """Finds the first contact of the AV and of each attacker with every other agent.
+    """Finds the first contact of AV, attackers and supporters with every other agent.
 
     A contact is an overlap into which a pair has driven. A pair that begins to overlap at the first
     frame, in the frame in which one of the two appears, or in the step in which one of the two
@@ -51,6 +51,7 @@ class ContactFinder:
         self.contacts: list[Contact] = []
         self.events: list[Event] = []
         self._av, self.attackers = av_id, attackers
+        self.supporters: tuple[AgentId, ...] = ()
         self._counted: set[Pair] = set()
         self._excused: set[Pair] = set()
         self._before: Frame | None = None
@@ -88,9 +89,16 @@ class ContactFinder:
         self._before = None
         self.look(step, frame, size_m)
 
+    def watch(
+        self, supporters: tuple[AgentId, ...], step: int, frame: Frame, size_m: Floats
+    ) -> None:
+        """Judge for other supporters from here on; what they overlap in this frame is excused."""
+        self.supporters, self._before = supporters, None
+        self.look(step, frame, size_m)
+
     def _overlapping(self, frame: Frame, size_m: Floats) -> Iterator[tuple[int, int, Pair]]:
-        """Row of the AV or an attacker, row of the other agent, and the ids of the pair."""
-        for mine in (self._av, *self.attackers):
+        """Row of one that is watched, row of the other agent, and the ids of the pair."""
+        for mine in (self._av, *self.attackers, *self.supporters):
             if mine not in frame.ids:
                 continue
             me = frame.ids.index(mine)
@@ -125,6 +133,8 @@ class ContactFinder:
         return None if owners[0] == owners[1] else "overlap_at_hand_over"
 
     def _kind(self, mine: AgentId, theirs: AgentId) -> ContactKind:
+        if mine in self.supporters:
+            return "supporter_other"
         if mine != self._av:
             return "opponent_other"
         return "av_opponent" if theirs in self.attackers else "av_other"

@@ -60,6 +60,7 @@ def run(
     hit = False
     while record.step < record.end and not hit:
         begin = time.perf_counter()
+        record.frame = world.frame(record.step)
         record.replan()
         planned = time.perf_counter()
         hit = _advance(world, record)
@@ -78,10 +79,11 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     first, schedule, judge = record.step + 1, record.schedule, record.judge
     stop = next((step for step in range(first, record.end) if schedule.due(step)), record.end)
     poses = {step: schedule.advance(step) for step in range(first, stop + 1)}
-    for agent in schedule.attackers:
+    driven = schedule.attackers + schedule.supporters
+    for agent in driven:
         own = {step: placed[agent] for step, placed in poses.items()}
         world.drive(agent, {step: pose for step, pose in own.items() if pose is not None})
-    begins, looked = world.new_overlaps(schedule.attackers, first, stop + 1), -1
+    begins, looked = world.new_overlaps(driven, first, stop + 1), -1
     several = len(schedule.attackers) > 1
     for step in range(first, stop + 1):
         # a pair that overlaps without a contact is judged at each step, for it may come apart
@@ -100,7 +102,7 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
 
 
 class _LogOnly:
-    """The log, with the AV on its poses and the attackers on those that they are given.
+    """The log, with the AV on its poses, and attackers and supporters on those that they are given.
 
     Args:
         case: with a recording.
@@ -119,15 +121,15 @@ class _LogOnly:
         after = np.arange(len(av_poses)) + self.now + 1
         self._drive(self._av, after, av_poses, av_poses[:, 2], Driver.PLANNER)
 
-    def drive(self, attacker: AgentId, poses: dict[int, Pose]) -> None:
-        """Put an attacker on poses, by step."""
+    def drive(self, agent: AgentId, poses: dict[int, Pose]) -> None:
+        """Put an attacker or a supporter on poses, by step."""
         if not poses:
             return
         table = [[at.x_m, at.y_m, at.heading_rad, at.speed_mps] for at in poses.values()]
         course = [
             at.heading_rad if at.course_rad is None else at.course_rad for at in poses.values()
         ]
-        row, steps = self._tracks.row(attacker), np.array(list(poses))
+        row, steps = self._tracks.row(agent), np.array(list(poses))
         self._drive(row, steps, np.array(table), np.array(course), Driver.POLICY)
 
     def frame(self, step: int) -> Frame:
@@ -163,14 +165,14 @@ class _LogOnly:
         """Kind and size as recorded."""
         return recorded_body(self._tracks, self._tracks.row(agent))
 
-    def new_overlaps(self, attackers: Sequence[AgentId], first: int, stop: int) -> set[int]:
-        """Steps before ``stop`` at which AV or attackers begin to overlap another agent."""
+    def new_overlaps(self, driven: Sequence[AgentId], first: int, stop: int) -> set[int]:
+        """Steps before ``stop`` at which the AV or one of ``driven`` begins to overlap another."""
         found: set[int] = set()
         span = slice(first - 1, stop)
         there = self._driver[:, span] != Driver.NOBODY
         state = self._state[:, span]
         reach = np.hypot(*self._size_m.T) / 2
-        for me in (self._av, *map(self._tracks.row, attackers)):
+        for me in (self._av, *map(self._tracks.row, driven)):
             away = np.hypot(*np.moveaxis(state[:, :, :2] - state[me, :, :2], -1, 0))
             near = there & there[me] & (away <= (reach + reach[me])[:, None])
             near[me] = False

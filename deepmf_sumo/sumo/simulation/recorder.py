@@ -195,6 +195,9 @@ class EpisodeRecord:
         if self.schedule.attackers != self.judge.attackers:
             size_m = self.recorder.sizes_m(self.frame.ids)
             self.judge.turn_to(self.schedule.attackers, self.step, self.frame, size_m)
+        if self.schedule.supporters != self.judge.supporters:
+            size_m = self.recorder.sizes_m(self.frame.ids)
+            self.judge.watch(self.schedule.supporters, self.step, self.frame, size_m)
 
     def add(self, frame: Frame) -> bool:
         """Record and judge a step; returns whether AV and an attacker have ended the episode."""

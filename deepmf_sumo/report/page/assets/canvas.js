@@ -62,16 +62,25 @@ function drawMoment(canvas, scene, camera, step, shown, candidate) {
     const its = planAt(scene, step, other.id);
     if (its && its !== plan) drawPath(brush, its);
   }
+  for (const one of scene.supporters) {
+    const its = planAt(scene, step, one.id);
+    if (its) drawPath(brush, its, "supporter");
+  }
   if (plan) drawPlan(brush, plan, shown, candidate);
   if (shown.driven) scene.main.forEach((agent) => drawDriven(brush, scene, agent, step));
   const scores = shown.scores && plan?.scores ? plan.scores : {};
   for (const agent of scene.agents) {
-    const role = agent === scene.av ? "av" : attackers.includes(agent) ? "opponent" : "other";
-    drawAgent(brush, agent, role, step, scores);
+    drawAgent(brush, agent, roleAt(scene, attackers, agent), step, scores);
   }
   for (const contact of scene.contacts)
     if (step >= contact.step - 1e-6) drawContact(brush, contact);
   drawScale(context, ratio, height, scale, colour);
+}
+
+function roleAt(scene, attackers, agent) {
+  if (agent === scene.av) return "av";
+  if (attackers.includes(agent)) return "opponent";
+  return agent.role === "supporter" ? "supporter" : "other";
 }
 
 function trace(context, points) {
@@ -153,8 +162,8 @@ function drawPlan({ context, colour, metre }, plan, shown, number) {
   drawPath({ context, colour, metre }, plan);
 }
 
-function drawPath({ context, colour, metre }, plan) {
-  line(context, plan.path, colour("opponent"), 2.2 * metre, [6 * metre, 3 * metre]);
+function drawPath({ context, colour, metre }, plan, role = "opponent") {
+  line(context, plan.path, colour(role), 2.2 * metre, [6 * metre, 3 * metre]);
 }
 
 function line(context, points, colour, width, dash = []) {

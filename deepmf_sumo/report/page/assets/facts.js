@@ -81,6 +81,7 @@ function factsOf(row, details, content) {
     profile: details.profile,
     constraints: (details.constraints ?? []).join(", "),
     ended: details.ended,
+    "supported by": (details.supporters ?? []).join("; "),
     "opponent without the attack": UNATTACKED[details.counterfactual],
     plans: details.plans,
     "deepmf-sumo": manifest.version,

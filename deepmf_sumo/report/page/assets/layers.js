@@ -44,6 +44,9 @@ function layers(scene, draw) {
     key("av", `AV (${scene.av.id})`),
     scene.opponent ? key("opponent", `opponent (${attackersOf(scene)}), with a star`) : null,
     key("opponent", "its plan", "stroke dashed"),
+    ...scene.supporters.map((one) =>
+      key("supporter", `supporter (${one.id}): takes ways out from the AV`),
+    ),
     heat ? key("heat", "where it may be in 8 s; stronger colour: likelier") : null,
     key("candidate", "candidates; stronger colour: higher value", "stroke"),
     key("reaction", "reactions; solid line: collides", "stroke"),

@@ -20,6 +20,7 @@ function sceneOf(details, road) {
     turns: details.turns,
     av: agents.find((agent) => agent.role === "av"),
     opponent: agents.find((agent) => agent.role === "opponent"),
+    supporters: agents.filter((agent) => agent.role === "supporter"),
     main: ["av", "opponent", "attacker"].flatMap((role) =>
       agents.filter((agent) => agent.role === role),
     ),
