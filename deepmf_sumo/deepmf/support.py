@@ -74,7 +74,7 @@ _BEFORE_STEPS: Final = (25, 20, 15, 10)
 """Before AV and attacker meet: when ways out begin. Drivers react within the last 2 s or so."""
 _AFTER_STEPS: Final = 20
 """After they would have met: by then a way out has ended well."""
-_NEAR_M: Final = 15.0
+_NEAR_M: Final = 25.0
 """A bystander that never comes so near the AV, at constant velocity, is not asked."""
 _ASKED: Final = 4
 """Bystanders that are asked, nearest first; each takes a prediction."""

@@ -9,7 +9,7 @@ from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import _av_error, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.judge.metrics.findings import finding, rung
-from deepmf_sumo.scene import Lane, Neighbour, RoadMap, SignalState
+from deepmf_sumo.scene import Lane, Neighbour, Plan, RoadMap, SignalState
 from deepmf_sumo.scene.geometry import boxes
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of
@@ -310,3 +310,46 @@ def test_what_nobody_avoids_is_no_finding():
     path = driven(10, x=1, y=2.8)
     found = verdict(episode_of(AV, aside(path, -2.8, 11, 2.0), alone=path, road=road))
     assert (found.rung, found.reasons, found.avoided_by) == ("D", ("unavoidable",), ())
+
+
+def with_supporter(path, contacts=()):
+    """A hit that drivers avoid by braking, with a supporter ``s`` on a path."""
+    episode = episode_of(
+        AV, braking_leader(7.5, 30), alone=driven(10, x=30), others=contacts, road=STREET
+    )
+    tracks = episode.rollout.tracks
+    poses = np.concatenate([tracks.position_m, tracks.heading_rad[..., None]], axis=-1)
+    paths = {**dict(zip(tracks.ids, poses, strict=True)), "s": path[: tracks.steps]}
+    plan = Plan(
+        agent_id="s", first_step=11, position_m=path[11:, :2], heading_rad=path[11:, 2],
+        speed_mps=np.full(STEPS - 11, 10.0), supports="b",
+    )  # fmt: skip
+    rollout = rollout_of(paths, episode.rollout.contacts, plans=[plan])
+    return verdict(Episode(rollout, episode.case))
+
+
+BESIDE_IT = driven(10, y=3.5)
+
+
+def test_a_supporter_that_touches_nobody_takes_nothing_from_a_finding():
+    found = with_supporter(BESIDE_IT)
+    assert (found.rung, found.reasons) == ("B", ("braked_hard",))
+    assert "cc" in found.avoided_by
+
+
+@pytest.mark.parametrize(
+    ("kind", "first", "second"),
+    [("supporter_other", "s", "c"), ("opponent_other", "b", "s"), ("av_other", "av", "s")],
+)
+def test_a_hit_whose_supporter_touched_anybody_is_contrived(kind, first, second):
+    touched = contact_of(kind, step=20, first=first, second=second)
+    found = with_supporter(BESIDE_IT, [touched])
+    assert (found.rung, found.reasons[-1]) == ("C", "supporter_touched")
+    own = {"touched_another"} if kind != "supporter_other" else set()
+    assert {*found.reasons} == own | {"supporter_touched"}
+
+
+def test_drivers_that_brake_into_a_supporter_avoid_nothing():
+    """It follows 7 m behind, does not brake, and hits whoever does; swerving still helps."""
+    found = with_supporter(driven(10, x=-12))
+    assert found.avoided_by == ("search",)
