@@ -68,6 +68,8 @@ class MotionModel:
         fastest_mps: it never moves faster; inf for vehicles, which roads limit.
         rear_axle: distance of the rear axle behind the centre of the box, per length.
         slip_rad: course against heading at full lock.
+        turn_per_m: a motion that is believed turns by at most this, in rad a metre; turning circles
+            of cars are at least 3.3 m in radius, of bicycles 1.2 m.
     """
 
     body: Body
@@ -76,6 +78,7 @@ class MotionModel:
     fastest_mps: float = float("inf")
     rear_axle: float = 0.3
     slip_rad: float = 0.33
+    turn_per_m: float = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +115,7 @@ _BICYCLE: Final = MotionModel(
     possible=MotionLimits(accel=4.0, brake=7.0, lateral=5.0),
     fastest_mps=8.3,
     slip_rad=0.45,
+    turn_per_m=0.83,
 )
 """Planned: acceleration and comfortable braking of SUMO's bicycles, and a lean of 14 degrees.
 30 km/h, in the plane few cyclists are faster; turning circles of 1.2 m in radius."""

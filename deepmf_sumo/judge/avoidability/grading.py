@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from deepmf_sumo.judge import impact
 from deepmf_sumo.judge.avoidability import manoeuvres, reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, VehicleState, keeps_lane, stays_on_road
 from deepmf_sumo.judge.avoidability.encounter import (
@@ -30,8 +31,7 @@ from deepmf_sumo.judge.avoidability.encounter import (
     third_parties_of,
 )
 from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach
-from deepmf_sumo.scene import AgentId, Bools, Case, Contact, Floats, Ints, Rollout
-from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene import Bools, Case, Contact, Floats, Ints, Rollout
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 Grade = Literal["no driver", "emergency manoeuvre", "some drivers", "all drivers"]
@@ -42,8 +42,6 @@ Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front"
 BEHIND_RAD: Final = np.radians(30)
 _QUICKEST: Final = ("cc", "rss", "fsm")
 """The drivers by the time that their decisions take to compute."""
-_BUMPER_M = 0.1
-_PARTS_LEFT = np.linspace(0.95, 0.0, 20)  # of the step: at 40 m/s 0.2 m from one to the next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,31 +250,10 @@ def collision_class(rollout: Rollout, contact: Contact) -> Collision:
         return "av_stopped"
     if tracks.speed_mps[other, before] <= STANDING_MPS:
         return "other_stopped"
-    pose, size_m = _during_step(rollout, contact, contact.first_id, contact.pose_first)
-    others, other_m = _during_step(rollout, contact, contact.second_id, contact.pose_second)
-    their_box = others[:, :2], others[:, 2], other_m
-    touch = int(boxes.overlap(pose[:, :2], pose[:, 2], size_m, *their_box).argmax())
-    x, y = others[touch, :2] - pose[touch, :2]
-    aside = frames.difference(float(np.arctan2(y, x)), float(pose[touch, 2]))
-    if abs(float(aside)) >= np.pi - BEHIND_RAD:
+    touch = impact.first_touch(rollout, contact)
+    if abs(touch.bearing_rad) >= np.pi - BEHIND_RAD:
         return "active_rear"
-    bumper = pose[:, :2] + size_m[0] / 2 * frames.unit(pose[:, 2])
-    front = boxes.overlap(bumper, pose[:, 2], np.array([_BUMPER_M, size_m[1]]), *their_box)
-    return "active_front" if front.any() else "active_lateral"
-
-
-def _during_step(
-    rollout: Rollout, contact: Contact, agent_id: AgentId, end: Floats
-) -> tuple[Floats, Floats]:
-    """(P, 3) poses during the step of the contact until its end (3), and the agent's size (2).
-
-    At the end of the step a fast AV may be half through a crossing car, its front beyond it.
-    """
-    tracks, before = rollout.tracks, max(contact.step - 1, 0)
-    row = tracks.row(agent_id)
-    turn = frames.difference(end[2], tracks.heading_rad[row, before])
-    moved = np.append(end[:2] - tracks.position_m[row, before], turn)
-    return end - _PARTS_LEFT[:, None] * moved, tracks.size_m[row, :2]
+    return "active_front" if touch.front is not None else "active_lateral"
 
 
 def av_at_fault(rollout: Rollout, case: Case) -> bool | None:

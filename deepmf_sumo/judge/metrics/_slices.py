@@ -1,7 +1,7 @@
 """Slices of a rollout for metrics, and the motion in them.
 
 Accelerations and steering are differences over 0.2 s, which keeps noise of a centimetre below
-1 m/s2.
+1 m/s2. Boxes of people tremble by several: their accelerations are differences over 0.5 s.
 """
 
 from typing import NamedTuple
@@ -30,6 +30,8 @@ NO_REFERENCE = "the opponent's motion without the attack is not known"
 TOO_SHORT = "fewer than three steps with both a planned pose and one without the attack"
 SPAN = 2
 """Steps on each side of a second difference."""
+SPAN_OF_PEOPLE = 5
+"""The same for pedestrians and cyclists."""
 
 
 def opponent_row(rollout: Rollout) -> int:
@@ -147,22 +149,24 @@ class Accelerations(NamedTuple):
     across: Floats
 
 
-def accelerations(position_m: Floats, heading_rad: Floats, dt_s: float) -> Accelerations:
-    """Second differences of box centres (T, 2); K = T - 4, empty for fewer than 5 poses.
+def accelerations(
+    position_m: Floats, heading_rad: Floats, dt_s: float, steps: int = SPAN
+) -> Accelerations:
+    """Second differences of box centres (T, 2) over some steps on each side; K = T - 2 * steps.
 
-    The direction is that of the motion, below 0.5 m/s the heading.
+    Empty for fewer poses. The direction is that of the motion, below 0.5 m/s the heading.
     """
     position = np.asarray(position_m, float)
-    if len(position) <= 2 * SPAN:
+    if len(position) <= 2 * steps:
         return Accelerations(np.empty(0), np.empty(0))
-    span = SPAN * dt_s
-    before, here, after = position[: -2 * SPAN], position[SPAN:-SPAN], position[2 * SPAN :]
+    span = steps * dt_s
+    before, here, after = position[: -2 * steps], position[steps:-steps], position[2 * steps :]
     second = (after - 2 * here + before) / span**2
     velocity = (after - before) / (2 * span)
     course = np.where(
         np.hypot(*velocity.T) > DIRECTION_MPS,
         np.arctan2(velocity[:, 1], velocity[:, 0]),
-        np.asarray(heading_rad, float)[SPAN:-SPAN],
+        np.asarray(heading_rad, float)[steps:-steps],
     )
     ahead = frames.unit(course)
     along = (second * ahead).sum(-1)

@@ -38,12 +38,12 @@ def sectors(
     0 is the front, 2 the left. Of boxes that do not overlap it is the sector of b's centre.
     """
     x, y = np.moveaxis(
-        _overlap_middle(centre_a, heading_a, size_a, centre_b, heading_b, size_b), -1, 0
+        overlap_middle(centre_a, heading_a, size_a, centre_b, heading_b, size_b), -1, 0
     )
     return np.round(np.arctan2(y, x) / (np.pi / 4)).astype(np.int64) % 8
 
 
-def _overlap_middle(
+def overlap_middle(
     centre_a: Floats,
     heading_a: Floats,
     size_a: Floats,

@@ -10,6 +10,7 @@ from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.judge.metrics import _slices, naturalness
 from deepmf_sumo.scene import Driver, Plan
 
+from tests.support import drawn_people
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
@@ -209,3 +210,66 @@ def test_reasons_tell_a_missing_recording_from_one_that_is_too_short():
     for name in ("path_sspd", "acceleration_kl"):
         assert measured(name, soon, unknown).reason == _slices.NO_REFERENCE
         assert measured(name, waits).reason == _slices.NEVER_DRIVEN
+
+
+def person_driven(path, kind="pedestrian"):
+    size = {"pedestrian": (0.5, 0.5, 1.75), "cyclist": (1.8, 0.8, 1.75)}[kind]
+    return drawn_people.episode(AV, drawn_people.Drawn(path, kind, size)).rollout
+
+
+@pytest.mark.parametrize(("kind", "accel", "expected"), [
+    ("pedestrian", 3.5, 1.0), ("pedestrian", 4.5, 0.0), ("pedestrian", -3.5, 1.0),
+    ("pedestrian", -4.5, 0.0), ("cyclist", 3.5, 1.0), ("cyclist", 4.5, 0.0),
+    ("cyclist", -6.5, 1.0), ("cyclist", -7.5, 0.0),
+])  # fmt: skip
+def test_people_speed_up_and_brake_within_limits_of_their_class(kind, accel, expected):
+    """A pulse of 1 s: second differences over 0.5 s see it at full height in its middle."""
+    speed = np.full(91, 8.0 if accel < 0 and kind == "cyclist" else 4.0 if accel < 0 else 0.0)
+    if accel > 0:
+        change = np.clip((np.arange(91) - 20) * 0.1, 0, 0.95) * accel
+    else:
+        change = np.clip((np.arange(91) - 20) * 0.1, 0, speed[0] / -accel) * accel
+    along = np.cumsum(speed + change) * 0.1
+    path = np.stack([along, np.full(91, 20.0), np.zeros(91)], -1)
+    assert measured("feasible", person_driven(path, kind)).value == expected
+
+
+def test_a_pedestrian_turns_on_the_spot_and_walks_back_but_a_cyclist_does_not():
+    speed = np.interp(np.arange(91), [0, 20, 28, 36, 90], [1.4, 1.4, 0.0, -1.4, -1.4])
+    along = np.cumsum(speed) * 0.1
+    path = np.stack([along, np.full(91, 20.0), np.where(speed < 0, np.pi, 0.0)], -1)
+    assert measured("feasible", person_driven(path)).value == 1.0
+    angle = 3.0 * np.arange(91) * 0.1 / 0.9  # 3 m/s on a circle of 0.9 m: 10 m/s2 across
+    circle = 0.9 * np.stack([np.cos(angle), np.sin(angle)], -1) + [0, 20]
+    path = np.concatenate([circle, (angle + np.pi / 2)[:, None]], axis=1)
+    assert measured("feasible", person_driven(path, "cyclist")).value == 0.0
+
+
+@pytest.mark.parametrize(("kind", "speed", "expected"), [
+    ("pedestrian", 4.3, 1.0), ("pedestrian", 4.5, 0.0), ("cyclist", 10.3, 1.0),
+    ("cyclist", 10.5, 0.0),
+])  # fmt: skip
+def test_nobody_is_faster_than_its_class(kind, speed, expected):
+    assert measured("feasible", person_driven(straight(0, 20, speed), kind)).value == expected
+
+
+def test_a_measured_box_trembles_but_a_driven_one_does_not():
+    for step, expected in ((10, 1.0), (30, 0.0)):  # the last measured pose, a driven one
+        path = straight(0, 20, 1.4)
+        path[step, 1] += 0.1  # 0.1 m to where its speed leads, and 0.2 m back
+        assert measured("feasible", person_driven(path)).value == expected
+
+
+@pytest.mark.parametrize("name", plugins.names("metrics"))
+@pytest.mark.parametrize("kind", ["pedestrian", "cyclist"])
+def test_no_metric_fails_for_people(name, kind):
+    size = {"pedestrian": (0.5, 0.5, 1.75), "cyclist": (1.8, 0.8, 1.75)}[kind]
+    for path in (
+        drawn_people.walks(30, -4.0, (9, 1.4)),
+        drawn_people.stands(30, 0),
+        drawn_people.walks(30, 40, (9, 1.4)),
+    ):
+        found = drawn_people.episode(AV, drawn_people.Drawn(path, kind, size))
+        value = plugins.load("metrics", name).measure(found.rollout, found.case)
+        assert (value.value is None) == bool(value.reason)
+        assert value.value is None or np.isfinite(value.value)
