@@ -21,11 +21,10 @@ first 3 s, and the weight c (`settings.Settings.comfort`; 0 as published):
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from deepmf_sumo.deepmf.networks.predict import MarginalPrediction
 from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
@@ -115,7 +114,15 @@ def tail(situation: Situation, steps: int) -> list[References]:
     return [References.of("tail", rest, situation.limits.rows(1))]
 
 
-def weights(modes: Forecast, others_m: Floats, prediction: MarginalPrediction) -> Floats:
+class Density(Protocol):
+    """A prediction of a vehicle or of a person, as far as candidates are weighed by it."""
+
+    def log_density(self, position_m: Floats) -> Floats:
+        """(K) log density of trajectories (K, 80, 2)."""
+        ...
+
+
+def weights(modes: Forecast, others_m: Floats, prediction: Density) -> Floats:
     """(N1) joint probabilities of the modes and of the candidates (K, F, 2) after them."""
     if len(others_m) == 0:
         return modes.probability
@@ -145,21 +152,42 @@ def comfortable(
 def off_road(situation: Situation, position_m: Floats) -> Bools:
     """(N, S) whether positions (N, S, 2) of the opponent are off the road, after it was on it.
 
-    A vehicle that is off the road now may come onto it.
+    A vehicle that is off the road now may come onto it. A pedestrian may be anywhere: never.
     """
+    if situation.on_foot:
+        return np.zeros(position_m.shape[:2], bool)
     levels, net = situation.levels, situation.view.road
     z_m = None if levels is None else levels.opponent_z_m(position_m).reshape(-1)
-    inside = road.on_road(net, position_m.reshape(-1, 2), z_m).reshape(position_m.shape[:2])
+    rides = situation.kind == "cyclist"
+    inside = road.on_road(net, position_m.reshape(-1, 2), z_m, bicycles=rides)
+    inside = inside.reshape(position_m.shape[:2])
     now_z_m = None if levels is None else levels.opponent[2:]
-    start = road.on_road(net, situation.start.position_m[None], now_z_m)
+    start = road.on_road(net, situation.start.position_m[None], now_z_m, bicycles=rides)
     return ~inside & (start | np.maximum.accumulate(inside, axis=1))
 
 
 def leaves_road(situation: Situation, own: Candidates, until: Floats) -> Bools:
-    """(N1) whether a candidate is `off_road` at a step up to ``until`` (N1) within the horizon."""
+    """(N1) whether a candidate is `off_road` at a step up to ``until`` (N1) within the horizon.
+
+    Of a pedestrian: whether it is beside the road at this very step, where it meets the AV.
+    """
+    if situation.on_foot:
+        return _met_beside(situation, own, until)
     steps = np.arange(0, situation.horizon, _ROAD_EVERY)
     off = off_road(situation, own.forecast.futures.position_m[:, steps])
     return np.asarray((off & (steps <= until[:, None])).any(axis=1))
+
+
+def _met_beside(situation: Situation, own: Candidates, until: Floats) -> Bools:
+    """(N1) whether a candidate is on no lane, cycle lanes included, at step ``until`` (N1)."""
+    rows = np.flatnonzero(until < situation.horizon)
+    beside = np.zeros(len(until), bool)
+    if len(rows):
+        position_m = own.forecast.futures.position_m[rows, until[rows].astype(int)]
+        levels = situation.levels
+        z_m = None if levels is None else levels.opponent_z_m(position_m[:, None])[:, 0]
+        beside[rows] = ~road.on_road(situation.view.road, position_m, z_m, bicycles=True)
+    return beside
 
 
 def against_traffic(
@@ -169,8 +197,11 @@ def against_traffic(
 
     What the opponent drove in the last second counts, too, from the step after ``since`` on (None:
     all of it): before the first plan something else drove it. That alone forbids no candidate: one
-    that is back on its side from the next step on does not drive against the traffic.
+    that is back on its side from the next step on does not drive against the traffic. Pedestrians
+    have no side: never.
     """
+    if situation.on_foot:
+        return np.zeros(len(until), bool)
     view, levels = situation.view, situation.levels
     row = view.history.row(situation.opponent_id)
     known = np.flatnonzero(view.history.valid[row])[-_SECOND_STEPS:]

@@ -18,7 +18,7 @@ from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
-from deepmf_sumo.deepmf.opponent import choose, highest
+from deepmf_sumo.deepmf.opponent import ByClass, choose, highest, tried
 from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -35,6 +35,7 @@ from deepmf_sumo.scene import (
     PlanReason,
     View,
 )
+from deepmf_sumo.scene.road_users import MotionLimits, road_user
 
 __all__ = ["DeepMF", "PredictorSet", "Settings", "build"]
 
@@ -44,7 +45,7 @@ class PredictorSet(Protocol):
 
     @property
     def opponent(self) -> Opponent:
-        """Scores of vehicles as opponents: phi."""
+        """Scores of vehicles as opponents: phi. People are scored without weights."""
         ...
 
     @property
@@ -137,16 +138,16 @@ class DeepMF:
             rule=settings.choice_rule, likelihood_weight=settings.likelihood_weight, rng=rng
         )
         self._attack = None
-        chosen, self._scores = choose(
-            view, settings.opponent, self._predictors.opponent, self._partner_id, rng
-        )
+        who = "all" if settings.names_opponent else settings.attackers
+        scorer = ByClass(self._predictors.opponent, who, self._av_ahead)
+        chosen, self._scores = choose(view, settings.opponent, scorer, self._partner_id, rng, who)
         watch.lap("opponent")
         self.seconds += watch.seconds
         if chosen is None:
             return ()
         if settings.tried > 1 and self._scores:
-            tried = self._not_given_up(self._scores)
-            self._attack = self._most_promising(view, [self._new_attack(one) for one in tried])
+            first = self._not_given_up(view, self._scores)
+            self._attack = self._most_promising(view, [self._new_attack(one) for one in first])
         else:
             self._attack = self._new_attack(chosen)
         return (self._attack.opponent_id,)
@@ -188,12 +189,12 @@ class DeepMF:
         reason = replace(plan.reason, support=found.support, milliseconds=spent)
         return replace(plan, reason=reason)
 
-    def _not_given_up(self, scores: OpponentScores) -> list[AgentId]:
-        """The vehicles to make a first plan for; all again after each was given up."""
+    def _not_given_up(self, view: View, scores: OpponentScores) -> list[AgentId]:
+        """The road users to make a first plan for; all again after each was given up."""
         settings, away = self._settings, self._experience.given_up
-        ranked = highest(scores, settings.opponent, settings.tried + len(away))
+        ranked = highest(scores, settings.opponent, len(scores.ids))
         left = [one for one in ranked if one not in away]
-        return (left or ranked)[: settings.tried]
+        return tried(view, left or ranked, settings.tried)
 
     def _new_attack(self, opponent_id: AgentId) -> _Attack:
         return _Attack(opponent_id=opponent_id, constraints=constraints.made(self._settings))
@@ -218,6 +219,11 @@ class DeepMF:
         watch.lap("conditional")
         return _Av(prediction, unattacked)
 
+    def _av_ahead(self, view: View) -> Forecast:
+        """The AV's futures without an attack."""
+        prediction = self._predictors.conditional.predict(view, view.av_id, planner=self._planner)
+        return prediction.given(None, self._settings.reactions)[0]
+
     def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
         """The opponent's plan: generate, predict, collide, constrain, choose."""
         unattacked = av.unattacked and self._experience.aimed_at(
@@ -226,7 +232,7 @@ class DeepMF:
         situation = Situation.of(
             view,
             attack.opponent_id,
-            self._settings.limits,
+            self._limits(view, attack.opponent_id),
             unattacked,
             attack.last,
             self._experience.last,
@@ -251,6 +257,11 @@ class DeepMF:
         reason = self._reason(own, heat, reactions, pairs, choice, masks, watch)
         return _planned(situation, own, choice, reason)
 
+    def _limits(self, view: View, opponent_id: AgentId) -> MotionLimits:
+        tracks, row = view.history, view.history.row(opponent_id)
+        motion = road_user(tracks.kinds[row], tracks.size_m[row]).motion
+        return self._settings.limits_of(tracks.kinds[row], motion)
+
     def _predict(
         self, situation: Situation, attack: _Attack, av: _Av, watch: Stopwatch
     ) -> Predicted:
@@ -271,7 +282,8 @@ class DeepMF:
     ) -> tuple[Candidates, Heat | None]:
         """Drivable candidates of the opponent with their probabilities P(OV), and its heat map."""
         settings, limits, start = self._settings, situation.limits, situation.start
-        prediction = self._predictors.marginal.predict(situation.view, situation.opponent_id)
+        predictor = self._predictors.people if situation.person else self._predictors.marginal
+        prediction = predictor.predict(situation.view, situation.opponent_id)
         modes = prediction.modes(settings.candidates)
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]

@@ -12,12 +12,12 @@ from pydantic import (
 
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.networks.predict import MOST_MODES
-from deepmf_sumo.deepmf.opponent import SCORED
+from deepmf_sumo.deepmf.opponent import SCORED, Attackers
 from deepmf_sumo.deepmf.scoring import Balance, Rule
 from deepmf_sumo.errors import nearest
-from deepmf_sumo.scene import DT_S, AvDriver
+from deepmf_sumo.scene import DT_S, AgentKind, AvDriver
 from deepmf_sumo.scene.geometry.impact import SECTORS
-from deepmf_sumo.scene.road_users import MotionLimits
+from deepmf_sumo.scene.road_users import MotionLimits, MotionModel
 from deepmf_sumo.spec import VERSIONS
 from deepmf_sumo.spec.profiles import SWITCHES, with_listed
 
@@ -41,6 +41,7 @@ _PAPER: Final[dict[str, Any]] = {
     "shortlist": None,
     "conditional": True,
     "keep_tail": False,
+    "attackers": "vehicles",
     "sector": None,
     "aggressiveness": None,
     "constraints": (),
@@ -59,13 +60,17 @@ class Settings(plugins.Settings):
     Attributes:
         form: ``paper`` is the method as published: one opponent, only the predictor's modes,
             reactions to all of them, Eq. 5 (or the text's pair), no comfort and no constraint; keys
-            that contradict it are refused. An opponent may be named (also ``labelled``).
+            that contradict it are refused. An opponent may be named (also ``labelled``); of those
+            that are chosen only vehicles: the published network scores no people.
             ``extended`` adds the extensions of the keys below.
         version: the paper's name of a period: G (one plan), S4, S2, S1.
         period_s: seconds between plans, a multiple of 0.1; null plans once (G).
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
             trained on labelled partners; ``labelled``: the partner that the recording names; else
-            the id of a vehicle.
+            the id of a vehicle, pedestrian or cyclist.
+        attackers: who is chosen from: ``vehicles``, ``people`` (pedestrians and cyclists) or
+            ``all``; see `deepmf.opponent` for the scores of people. Of ``all``, the highest-scored
+            vehicle and the highest-scored person are among the ``tried_opponents`` (from 2 on).
         tried_opponents: number of top-scored vehicles to make a first plan for. The highest-scored
             one whose best candidate has at least 95 % of the largest collision mass attacks: a
             vehicle that interacts with the AV need not be able to reach it. 1 as published; more
@@ -89,7 +94,8 @@ class Settings(plugins.Settings):
             null follows the AV's planner (``human`` for ``replay``).
         conditional: False predicts the AV as if it knew nothing of the opponent's future, with the
             same network: P(Y_AV | X) in place of P(Y_AV | Y_OV, X), to measure its effect.
-        accel_mps2, brake_mps2, lateral_mps2: limits on the opponent's accelerations.
+        accel_mps2, brake_mps2, lateral_mps2: limits on the opponent's accelerations. Pedestrians
+            and cyclists also keep to those of their class (`scene.road_users`).
         keep_tail: the rest of the last plan is a candidate too.
         sector: the side of the AV to hit: 0 (front) to 7, counter-clockwise in steps of 45 degrees,
             or a name of `scene.geometry.impact.SECTORS`. Only pairs that first touch there count;
@@ -118,6 +124,7 @@ class Settings(plugins.Settings):
     version: Literal["G", "S4", "S2", "S1"] | None = None
     period_s: float | None = Field(default=1.0, ge=DT_S)
     opponent: str = Field(default="argmax", min_length=1)
+    attackers: Attackers = "vehicles"
     tried_opponents: int | None = Field(default=None, ge=1, le=16)
     rule: Rule = "expected"
     likelihood_weight: float = Field(default=1.0, ge=0.0)
@@ -143,6 +150,11 @@ class Settings(plugins.Settings):
     def takes_turns(self) -> bool:
         """Whether opponents can attack in turn in an episode: chosen by score, in one try."""
         return self.opponent in SCORED and self.tries == 1
+
+    @property
+    def names_opponent(self) -> bool:
+        """Whether ``opponent`` is an id: a person may be named, whoever is chosen from."""
+        return self.opponent not in SCORED and self.opponent != "labelled"
 
     @model_validator(mode="before")
     @classmethod
@@ -224,7 +236,7 @@ class Settings(plugins.Settings):
     def _without_empty(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Results contain these keys only with values that are not the defaults."""
         values: dict[str, Any] = handler(self)
-        for key in ("form", "goal", "tries", "supporting"):
+        for key in ("form", "goal", "tries", "supporting", "attackers"):
             if getattr(self, key) == type(self).model_fields[key].default:
                 del values[key]
         return values
@@ -261,13 +273,20 @@ class Settings(plugins.Settings):
 
     @property
     def limits(self) -> MotionLimits:
-        """Limits on the opponent's accelerations."""
-        more = 1.0 if self.aggressiveness is None else 2.0 ** (self.aggressiveness - 0.5)
+        """Limits on the accelerations of a vehicle that attacks."""
         return MotionLimits(
-            accel=more * self.accel_mps2,
-            brake=more * self.brake_mps2,
-            lateral=more * self.lateral_mps2,
-        )
+            accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2
+        ).times(self._more)
+
+    def limits_of(self, kind: AgentKind, motion: MotionModel) -> MotionLimits:
+        """Limits on the accelerations of an opponent; people also keep to their class's."""
+        if kind == "vehicle":
+            return self.limits
+        return self.limits.within(motion.planned.times(self._more).within(motion.possible))
+
+    @property
+    def _more(self) -> float:
+        return 1.0 if self.aggressiveness is None else 2.0 ** (self.aggressiveness - 0.5)
 
     @property
     def choice_rule(self) -> Rule | Balance:

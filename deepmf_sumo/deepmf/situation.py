@@ -10,6 +10,7 @@ from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.scene import (
     FUTURE_STEPS,
     AgentId,
+    AgentKind,
     Bools,
     Floats,
     Forecast,
@@ -28,7 +29,7 @@ class Situation:
 
     Attributes:
         view: the present and the last second.
-        opponent_id: the vehicle that attacks.
+        opponent_id: the road user that attacks.
         start: its state now.
         size_m, av_size_m: (2) length and width of the opponent and of the AV.
         limits: on the opponent's accelerations.
@@ -75,6 +76,21 @@ class Situation:
             last=last,
             seen=seen,
         )
+
+    @property
+    def kind(self) -> AgentKind:
+        """Of the opponent."""
+        return self.view.history.kinds[self.view.history.row(self.opponent_id)]
+
+    @property
+    def person(self) -> bool:
+        """Whether the opponent is a pedestrian or a cyclist."""
+        return self.kind in {"pedestrian", "cyclist"}
+
+    @property
+    def on_foot(self) -> bool:
+        """Whether the opponent is a pedestrian, who needs no lane."""
+        return self.start.motion.body == "point"
 
     def others(self) -> "OtherAgents":
         """All agents but the two: as in the earlier episode, else at their present velocity."""

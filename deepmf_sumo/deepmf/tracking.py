@@ -1,4 +1,4 @@
-"""Tracking: a bicycle model follows reference paths within the limits of motion.
+"""Tracking: a model of the opponent's body follows reference paths within its limits of motion.
 
 A predictor knows no limits, and its first sample need not join the current state. A single-track
 model therefore follows every candidate from the current state *before* it is assessed, so that the
@@ -11,14 +11,17 @@ by a critically damped law with feed-forward, and slows down ahead of curves.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.scene import DT_S, AgentId, Floats, Ints, View
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.road_users import ROAD_USERS, MotionModel, road_user
 
 Complexes = NDArray[np.complex128]
+Along = TypeVar("Along", Floats, Complexes)
 
 _SPACING_M = 0.5
 _BEYOND_M = 40.0  # every path is extended straight by this length, the farthest look-ahead
@@ -125,13 +128,17 @@ def _resampled(points: Complexes, length: Floats, course_rad: float) -> Complexe
     return path
 
 
-def _smooth_speed(length: Floats) -> Floats:
-    """(M, F + 1) speeds as differences of arc length over 0.4 s, shorter at both ends."""
+def _smooth_speed(length: Along) -> Along:
+    """(M, F + 1) speeds as differences of arc length over 0.4 s, shorter at both ends.
+
+    Velocities, if positions are given.
+    """
     last = length.shape[1] - 1
     steps = np.arange(last + 1)
     low = np.maximum(steps - _SMOOTHING_STEPS, 0)
     high = np.minimum(steps + _SMOOTHING_STEPS, last)
-    return (length[:, high] - length[:, low]) / ((high - low) * DT_S)
+    speed: Along = (length[:, high] - length[:, low]) / ((high - low) * DT_S)
+    return speed
 
 
 def _curve_limit(path: Complexes, limits: Floats) -> Floats:
@@ -151,29 +158,36 @@ def _curve_limit(path: Complexes, limits: Floats) -> Floats:
 _JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
 _LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
 _DAMPING_PER_S = 2.0  # both poles of the timing law
-_REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
-_STEERING_SLIP = 0.33  # course against heading at full lock, radians
+_REST_MPS = 0.05  # a slower pedestrian turns freely
+_STEPS_MPS = 0.3  # recorded positions of a pedestrian who stands move as fast
 _COURSE_MPS = 1.0  # slower, a measured velocity does not show the slip angle: 0.1 m/s are 6 degrees
 _COURSE_SLIP = 0.2  # largest slip angle that is taken from a measured velocity, radians
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """The vehicle's state now: box centre (2), heading, course and speed, length."""
+    """The state now: box centre (2), heading, course and speed, length, and how it can move."""
 
     position_m: Floats
     heading_rad: float
     course_rad: float
     speed_mps: float
     length_m: float
+    motion: MotionModel = ROAD_USERS["car"].motion
 
     @classmethod
     def of(cls, view: View, agent_id: AgentId) -> "Start":
-        """Current state of an agent. A vehicle that rolls backwards starts at rest."""
+        """Current state of an agent. A vehicle that rolls backwards starts at rest.
+
+        A pedestrian goes in the direction of its velocity, whatever its heading.
+        """
         tracks = view.history
         row = tracks.row(agent_id)
         heading = float(tracks.heading_rad[row, -1])
         velocity = tracks.velocity_mps[row, -1]
+        motion = road_user(tracks.kinds[row], tracks.size_m[row]).motion
+        if motion.body == "point":
+            return cls._on_foot(tracks.position_m[row, -1], heading, velocity, motion)
         speed = max(0.0, float(velocity @ frames.unit(heading)))
         course = heading
         if speed > _COURSE_MPS:
@@ -185,6 +199,23 @@ class Start:
             course_rad=course,
             speed_mps=speed,
             length_m=float(tracks.size_m[row, 0]),
+            motion=motion,
+        )
+
+    @classmethod
+    def _on_foot(
+        cls, position_m: Floats, heading_rad: float, velocity_mps: Floats, motion: MotionModel
+    ) -> "Start":
+        speed = float(np.hypot(*velocity_mps))
+        moves = speed > _STEPS_MPS
+        course = float(np.arctan2(velocity_mps[1], velocity_mps[0])) if moves else heading_rad
+        return cls(
+            position_m=position_m,
+            heading_rad=course,
+            course_rad=course,
+            speed_mps=speed if moves else 0.0,
+            length_m=0.0,
+            motion=motion,
         )
 
 
@@ -217,17 +248,23 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
     """Follow M references (M, F, 2) from the current state, each within its limits (M, 3).
 
     Guarantees for the box centre: the first pose is one step's drive away from the start; speed
-    changes by at most accel*dt and brake*dt a step and is never negative; speed times turn rate of
-    the course stays within the lateral limit.
+    changes by at most accel*dt and brake*dt a step and is never negative, nor above the fastest of
+    the start's class (who is faster now gets no faster); speed times turn rate of the course stays
+    within the lateral limit, but a pedestrian at rest starts towards any side.
     """
     reference = np.asarray(reference_m, float)
     candidates, steps = reference.shape[:2]
-    courses = Courses.along(joined(reference, start), start.position_m, start.course_rad, limits)
-    state = _SingleTrack(candidates, start, limits)
+    follows = joined(reference, start)
+    state: _Pedestrian | _SingleTrack
+    if start.motion.body == "point":
+        state = _Pedestrian(follows, start, limits)
+    else:
+        courses = Courses.along(follows, start.position_m, start.course_rad, limits)
+        state = _SingleTrack(courses, candidates, start, limits)
     place = np.empty((steps, candidates), dtype=np.complex128)
     heading, speed = np.empty((steps, candidates)), np.empty((steps, candidates))
     for step in range(steps):
-        state.advance(courses, step)
+        state.advance(step)
         place[step], heading[step], speed[step] = state.pose()
     position = np.stack([place.T.real, place.T.imag], -1)
     bent = np.hypot(*np.moveaxis(position - reference, -1, 0)).max(axis=1)
@@ -242,22 +279,25 @@ def track(reference_m: Floats, start: Start, limits: Floats) -> Tracked:
 class _SingleTrack:
     """States of M single-track vehicles that follow M courses; all arrays (M)."""
 
-    def __init__(self, candidates: int, start: Start, limits: Floats) -> None:
+    def __init__(self, courses: Courses, candidates: int, start: Start, limits: Floats) -> None:
+        self._courses = courses
         self._place = np.full(candidates, complex(*start.position_m))
         self._course = np.full(candidates, start.course_rad)
         self._slip = self._course - start.heading_rad
         self._speed = np.full(candidates, start.speed_mps)
         self._along = np.zeros(candidates)
-        self._rear_m = _REAR_AXLE * start.length_m
-        self._curvature = np.sin(_STEERING_SLIP) / self._rear_m
+        self._rear_m = start.motion.rear_axle * start.length_m
+        self._curvature = np.sin(start.motion.slip_rad) / self._rear_m
+        self._fastest_mps = max(start.motion.fastest_mps, start.speed_mps)
         self._accel, self._brake, self._lateral = np.asarray(limits, float).T
 
     def pose(self) -> tuple[Complexes, Floats, Floats]:
         """Position x + iy, heading, speed, (M) each."""
         return self._place, self._course - self._slip, self._speed
 
-    def advance(self, courses: Courses, step: int) -> None:
+    def advance(self, step: int) -> None:
         """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
+        courses = self._courses
         before, after = self._speed, self._next_speed(courses, step)
         curvature = self._steer(courses, np.maximum(before, after))
         mean = (before + after) / 2
@@ -278,7 +318,8 @@ class _SingleTrack:
         wanted = wanted + _DAMPING_PER_S**2 * (due - self._along)
         allowed = (courses.speed_limit(self._along) - self._speed) / DT_S
         chosen = np.maximum(np.minimum(np.minimum(wanted, allowed), self._accel), -self._brake)
-        return np.maximum(self._speed + chosen * DT_S, 0.0)
+        after = np.minimum(self._speed + chosen * DT_S, self._fastest_mps)
+        return np.maximum(after, 0.0)
 
     def _steer(self, courses: Courses, fastest: Floats) -> Floats:
         """Curvature of the arc to the point ahead on the course, within the limits."""
@@ -288,3 +329,50 @@ class _SingleTrack:
         wanted = 2 * left / np.maximum(square(target), 1e-6)
         bound = np.minimum(self._curvature, self._lateral / np.maximum(fastest**2, 1e-6))
         return np.minimum(np.maximum(wanted, -bound), bound)
+
+
+class _Pedestrian:
+    """States of M pedestrians who follow M references (M, F, 2); all arrays (M)."""
+
+    def __init__(self, reference_m: Floats, start: Start, limits: Floats) -> None:
+        count, steps = reference_m.shape[:2]
+        due = np.empty((steps + 1, count), dtype=np.complex128)
+        due[0] = complex(*start.position_m)
+        due[1:] = (reference_m[..., 0] + 1j * reference_m[..., 1]).T
+        self._due = due
+        self._due_velocity = _smooth_speed(due.T).T
+        self._due_accel = np.gradient(self._due_velocity, DT_S, axis=0)
+        self._place = due[0].copy()
+        self._course = np.full(count, start.course_rad)
+        self._speed = np.full(count, start.speed_mps)
+        self._fastest_mps = max(start.motion.fastest_mps, start.speed_mps)
+        self._accel, self._brake, self._lateral = np.asarray(limits, float).T
+
+    def pose(self) -> tuple[Complexes, Floats, Floats]:
+        """Position x + iy, heading, speed, (M) each."""
+        return self._place, self._course, self._speed
+
+    def advance(self, step: int) -> None:
+        """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
+        before = self._speed
+        wanted = self._wanted_velocity(step)
+        size, side = np.abs(wanted), np.angle(wanted)
+        stands = before <= _REST_MPS
+        course = np.where(stands & (size > _REST_MPS), side, self._course)
+        wanted_turn = frames.difference(side, course)
+        ahead = size * np.cos(wanted_turn)
+        after = np.minimum(np.maximum(ahead, before - self._brake * DT_S), self._fastest_mps)
+        after = np.maximum(np.minimum(after, before + self._accel * DT_S), 0.0)
+        after = np.where(stands & (size <= _REST_MPS), 0.0, after)
+        bound = self._lateral * DT_S / np.maximum(np.maximum(before, after), _REST_MPS)
+        turn = np.clip(np.where(size > _REST_MPS, wanted_turn, 0.0), -bound, bound)
+        driven = (before + after) / 2 * DT_S
+        self._place = self._place + driven * np.exp(1j * (course + turn / 2))
+        self._course, self._speed = course + turn, after
+
+    def _wanted_velocity(self, step: int) -> Complexes:
+        """(M) velocities vx + i vy after the step that keep to the references' timing."""
+        now = self._speed * np.exp(1j * self._course)
+        accel = self._due_accel[step] + 2 * _DAMPING_PER_S * (self._due_velocity[step] - now)
+        accel = accel + _DAMPING_PER_S**2 * (self._due[step] - self._place)
+        return np.asarray(now + accel * DT_S)

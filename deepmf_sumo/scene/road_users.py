@@ -47,6 +47,12 @@ class MotionLimits:
             lateral=min(2.5, 0.7 * self.lateral),
         )
 
+    def times(self, factor: float) -> "MotionLimits":
+        """Each of them, times a factor."""
+        return MotionLimits(
+            accel=factor * self.accel, brake=factor * self.brake, lateral=factor * self.lateral
+        )
+
     def within(self, other: "MotionLimits") -> "MotionLimits":
         """The smaller of the two, each."""
         return MotionLimits(

@@ -20,6 +20,12 @@ def lanes_for_cars(road: RoadMap) -> LaneMap:
     )
 
 
+@per_road
+def all_lanes(road: RoadMap) -> LaneMap:
+    """All lanes, cycle lanes included, as they are drawn."""
+    return LaneMap.of([one for one in road.lanes.values() if len(one.centre_m) > 1])
+
+
 class Covering(NamedTuple):
     """K pairs of a point and a segment of a centre line that it is on.
 
@@ -35,13 +41,15 @@ class Covering(NamedTuple):
     reach_m: Floats
 
 
-def covering(road: RoadMap, points_m: Floats, z_m: Floats | None = None) -> Covering:
+def covering(
+    road: RoadMap, points_m: Floats, z_m: Floats | None = None, *, bicycles: bool = False
+) -> Covering:
     """Segments that points (N, 2) are on: within half a lane's width and 0.5 m of them.
 
     Where roads cross the lane must be at the points' heights (N), if these are given: a vehicle
-    that has left a bridge over its side is not on the road below.
+    that has left a bridge over its side is not on the road below. ``bicycles``: of `all_lanes`.
     """
-    lanes = lanes_for_cars(road)
+    lanes = all_lanes(road) if bicycles else lanes_for_cars(road)
     feet = lanes.feet(points_m, lanes.widest_m)
     reach = lanes.reach_m[lanes.lane[feet.segment]]
     on_it = (feet.away_m**2).sum(axis=-1) <= reach**2
@@ -58,10 +66,12 @@ def covering(road: RoadMap, points_m: Floats, z_m: Floats | None = None) -> Cove
     )
 
 
-def on_road(road: RoadMap, points_m: Floats, z_m: Floats | None = None) -> Bools:
-    """(N) whether points (N, 2) are on a lane, see `covering`; no cycle lanes."""
+def on_road(
+    road: RoadMap, points_m: Floats, z_m: Floats | None = None, *, bicycles: bool = False
+) -> Bools:
+    """(N) whether points (N, 2) are on a lane, see `covering`; no cycle lanes by default."""
     on_it = np.zeros(len(points_m), bool)
-    on_it[covering(road, points_m, z_m).point] = True
+    on_it[covering(road, points_m, z_m, bicycles=bicycles).point] = True
     return on_it
 
 
