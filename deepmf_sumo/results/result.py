@@ -30,6 +30,7 @@ from deepmf_sumo.scene import (
     MetricValue,
     RecordedCase,
     Rollout,
+    Support,
     Trial,
     Turn,
 )
@@ -373,14 +374,22 @@ def finished(
     }
     if by_turn is not None:
         result["turns"] = by_turn
-    support = [
-        {"step": plan.first_step - rollout.now, **asdict(plan.reason.support)}
-        for plan in rollout.plans
-        if plan.reason and plan.reason.support
-    ]
-    if support:
+    if support := _support(rollout):
         result["support"] = support
     return result
+
+
+def _support(rollout: Rollout) -> list[dict[str, Any]]:
+    """Of each plan who supports it, or why nobody does; also of policies without reasons."""
+    told = {plan.first_step: plan.reason.support for plan in rollout.plans if plan.reason}
+    for plan in rollout.plans:
+        if plan.supports is not None and told.get(plan.first_step) is None:
+            told[plan.first_step] = Support(agent_id=plan.agent_id)
+    return [
+        {"step": first - rollout.now, **asdict(support)}
+        for first, support in sorted(told.items())
+        if support is not None
+    ]
 
 
 def _unrepeated(rollout: Rollout, case: Case) -> list[dict[str, Any]]:
