@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.scene._arrays import Bools, Bytes, Floats, Frozen, frozen
 
 LaneKind = Literal["unknown", "freeway", "street", "bike"]
-PolygonKind = Literal["crosswalk", "speed_bump", "driveway"]
+PolygonKind = Literal["crosswalk", "speed_bump", "driveway", "building"]
 
 
 LINE_TYPES: Final = 9
@@ -98,7 +98,7 @@ class Polyline(Frozen):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Polygon(Frozen):
-    """A crosswalk, speed bump or driveway: closed without repeating the first point."""
+    """A crosswalk, speed bump, driveway or building: closed without repeating the first point."""
 
     id: str
     kind: PolygonKind
@@ -118,13 +118,17 @@ class StopSign(Frozen):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class RoadMap:
-    """All known features of the road; ``lanes`` by id, in the source's order."""
+    """All known features of the road; ``lanes`` by id, in the source's order.
+
+    ``buildings`` beside it hide road users (`geometry.sight`); recordings have none.
+    """
 
     lanes: dict[str, Lane]
     lines: tuple[Polyline, ...] = ()
     edges: tuple[Polyline, ...] = ()
     polygons: tuple[Polygon, ...] = ()
     stop_signs: tuple[StopSign, ...] = ()
+    buildings: tuple[Polygon, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -184,7 +184,7 @@ _ON_FOOT: Final = {"crossing", "walkingarea"}
 _VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 _FREEWAY_MPS: Final = 24.0
 """Limits above 86 km/h are those of roads without crossings."""
-_POLYGONS: Final = ("crosswalk", "speed_bump", "driveway")
+_POLYGONS: Final = ("crosswalk", "speed_bump", "driveway", "building")
 _STOP_STATES: Final = "sw"
 """States of links behind a stop sign: stop, all-way stop."""
 
@@ -200,7 +200,8 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     Args:
         net_file: .net.xml or .net.xml.gz.
         additional: additional files; their polygons of type crosswalk, speed_bump or driveway are
-            taken.
+            taken, and as buildings those of type building or building.SOMETHING, as polyconvert
+            writes them.
 
     Raises SimulationError if a file cannot be read or is of another kind.
     """
@@ -222,6 +223,7 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
             after[link.origin].append(link.onto)
             before[link.onto].append(link.origin)
     lines, edges = borders(net, lanes)
+    shapes = [shape for file in additional for shape in _polygons(file)]
     goes_first = going_first(net)
     return RoadMap(
         lanes={
@@ -236,8 +238,9 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         | straight,
         lines=lines,
         edges=edges,
-        polygons=(*_crossings(net), *(shape for file in additional for shape in _polygons(file))),
+        polygons=(*_crossings(net), *(shape for shape in shapes if shape.kind != "building")),
         stop_signs=_stop_signs(net, set(lanes)),
+        buildings=tuple(shape for shape in shapes if shape.kind == "building"),
     )
 
 
@@ -369,6 +372,7 @@ def _polygons(file: Path) -> list[Polygon]:
     found = []
     for element in elements(file, "additional"):
         kind = element.get("type", "")
+        kind = "building" if kind.startswith("building.") else kind
         if element.tag == "poly" and kind in _POLYGONS:
             try:
                 shape = points(element.get("shape", ""))

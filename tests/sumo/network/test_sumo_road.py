@@ -192,3 +192,22 @@ def test_attributes_that_are_no_numbers_are_named_with_the_file(
     (tmp_path / "bad.net.xml").write_text(text.replace(before, after, 1))
     with pytest.raises(SimulationError, match=rf"bad\.net\.xml is not a network of SUMO: {said}"):
         road_of_net(tmp_path / "bad.net.xml")
+
+
+def test_buildings_are_kept_apart_from_what_is_painted_on_the_road(grid, tmp_path):
+    """As polyconvert writes them; networks that predict and planners do not get them."""
+    file = tmp_path / "houses.add.xml"
+    square = "0,0 10,0 10,10 0,10 0,0"
+    file.write_text(
+        "<additional>"
+        f'<poly id="a" type="building" color="1,0,0" layer="-1" shape="{square}"/>'
+        f'<poly id="b" type="building.apartments" shape="{square}"/>'
+        f'<poly id="c" type="landuse.forest" shape="{square}"/>'
+        f'<poly id="d" type="driveway" shape="{square}"/>'
+        "</additional>"
+    )
+    plain, road = road_of_net(grid), road_of_net(grid, [file])
+    assert [one.id for one in road.buildings] == ["a", "b"]
+    assert road.buildings[0].points_m.shape == (4, 2)
+    assert [one.id for one in road.polygons] == [*(one.id for one in plain.polygons), "d"]
+    assert plain.buildings == ()
