@@ -18,8 +18,9 @@ from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
+from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths
 from deepmf_sumo.deepmf.opponent import ByClass, choose, highest, tried
-from deepmf_sumo.deepmf.reference_paths import goal_paths, own_paths
+from deepmf_sumo.deepmf.reference_paths import OwnPath, goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation, Stopwatch
@@ -289,7 +290,7 @@ class DeepMF:
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
         watch.lap("marginal")
         paths = own_paths(modes, start) if situation.unattacked else []
-        parts.append(goal_paths(situation, paths, settings.goal_candidates))
+        parts += _goals(situation, paths, settings.goal_candidates)
         for constraint in attack.constraints:
             parts += constraint.references(situation, paths)
         if settings.keep_tail or any(one.keeps_plan for one in attack.constraints):
@@ -367,6 +368,17 @@ class DeepMF:
             unmet=choice.unmet,
             heat=heat,
         )
+
+
+def _goals(situation: Situation, paths: list[OwnPath], count: int) -> list[References]:
+    """At most ``count`` candidates to where the AV will be.
+
+    Those of a pedestrian are off the lanes as far as there are any, half of a cyclist's.
+    """
+    if not situation.person:
+        return [goal_paths(situation, paths, count)]
+    free = off_lane_paths(situation, count if situation.on_foot else (count + 1) // 2)
+    return [free, goal_paths(situation, paths, count - len(free.origin))]
 
 
 def _planned(situation: Situation, own: Candidates, choice: Choice, reason: PlanReason) -> Plan:

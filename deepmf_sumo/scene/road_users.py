@@ -72,6 +72,8 @@ class MotionModel:
         possible: limits of a motion that is believed: what is measured with the noise of recordings
             must stay within them.
         fastest_mps: it never moves faster; inf for vehicles, which roads limit.
+        usual_mps: speeds at which it usually moves, the first more often; empty for vehicles, whose
+            speeds roads and traffic decide.
         rear_axle: distance of the rear axle behind the centre of the box, per length.
         slip_rad: course against heading at full lock.
         turn_per_m: a motion that is believed turns by at most this, in rad a metre; turning circles
@@ -82,6 +84,7 @@ class MotionModel:
     planned: MotionLimits
     possible: MotionLimits
     fastest_mps: float = float("inf")
+    usual_mps: tuple[float, ...] = ()
     rear_axle: float = 0.3
     slip_rad: float = 0.33
     turn_per_m: float = 0.3
@@ -120,20 +123,24 @@ _BICYCLE: Final = MotionModel(
     planned=MotionLimits(accel=1.2, brake=3.0, lateral=2.5),
     possible=MotionLimits(accel=4.0, brake=7.0, lateral=5.0),
     fastest_mps=8.3,
+    usual_mps=(15 / 3.6, 20 / 3.6),
     slip_rad=0.45,
     turn_per_m=0.83,
 )
 """Planned: acceleration and comfortable braking of SUMO's bicycles, and a lean of 14 degrees.
-30 km/h, in the plane few cyclists are faster; turning circles of 1.2 m in radius."""
+30 km/h, in the plane few cyclists are faster; turning circles of 1.2 m in radius. Usual: the
+cyclists of Euro NCAP 2026."""
 _PEDESTRIAN: Final = MotionModel(
     body="point",
     planned=MotionLimits(accel=1.6, brake=2.0, lateral=2.0),
     possible=MotionLimits(accel=4.0, brake=4.0, lateral=4.0),
     fastest_mps=3.5,
+    usual_mps=(1.36, 8 / 3.6),
 )
 """Planned: an adult who starts to run needs 1.5 m to 8 km/h, 1.6 m/s2 (Euro NCAP 2026, running
 adult from the far side); the start of a walk has 0.14 g (Randles, 288 people), braking -2 m/s2 is
-that of SUMO's pedestrians. 3.5 m/s is running; a walk has 1.36 m/s +- 0.24 (Randles)."""
+that of SUMO's pedestrians. 3.5 m/s is running; a walk has 1.36 m/s +- 0.24 (Randles), Euro NCAP's
+running adult 8 km/h."""
 _FIXED: Final = MotionModel(body="fixed", planned=_CAR.planned, possible=_CAR.possible)
 
 ROAD_USERS: Final[Mapping[RoadUserClass, RoadUser]] = {

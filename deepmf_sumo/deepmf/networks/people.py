@@ -37,16 +37,14 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
-from deepmf_sumo.scene.road_users import MotionModel, road_user
+from deepmf_sumo.scene.road_users import ROAD_USERS, MotionModel, road_user
 
 _SECONDS: Final = DT_S * np.arange(1, FUTURE_STEPS + 1)
 _MOVES_MPS: Final = 0.3
 """A person who is slower stands: recorded positions of one who stands move as fast."""
 _MEASURED_STEPS: Final = 5
 """The speed now is that of the last 0.5 s: a step goes left and right."""
-_WALKS_MPS: Final = 1.36
-_RUNS_MPS: Final = 8 / 3.6
-_RIDES_MPS: Final = (15 / 3.6, 20 / 3.6)
+_WALKS_MPS: Final = ROAD_USERS["pedestrian"].motion.usual_mps[0]
 _SPEED_MPS: Final = 0.24
 _WANDERS_RAD: Final = np.radians(6.0)
 _LAPLACE: Final = 1 / np.sqrt(2.0)
@@ -160,7 +158,7 @@ class People:
         walks = motion.body == "point"
         z_m = float(tracks.z_m[row, -1])
         ways = [*(_walked(view.road, pose) if walks else _ridden(view.road, pose, z_m))]
-        paces = [*_paces(pose.speed_mps, motion, walks=walks)]
+        paces = [*_paces(pose.speed_mps, motion)]
         position, heading, share = [], [], []
         for way in ways:
             points = polylines.Measured(way.points_m)
@@ -203,9 +201,9 @@ def _widths(speed_mps: float) -> Floats:
     return np.stack([along, across], axis=-1) * _LAPLACE
 
 
-def _paces(speed_mps: float, motion: MotionModel, *, walks: bool) -> Iterator[_Pace]:
+def _paces(speed_mps: float, motion: MotionModel) -> Iterator[_Pace]:
     """What the person may do with its speed; at rest half of the people stay."""
-    usual = (_WALKS_MPS, _RUNS_MPS) if walks else _RIDES_MPS
+    usual = motion.usual_mps
     if speed_mps > 0.0:
         yield _Pace(_covered(speed_mps, speed_mps, 0.0, motion), 0.5)
         yield _Pace(_covered(speed_mps, 0.0, 0.0, motion), 0.1)
