@@ -174,7 +174,7 @@ def _mostly(there: Bools, pairs: Pairs) -> Bools:
 
 
 class Lawful(Constraint):
-    """The candidate breaks no traffic rule (`traffic_rules`)."""
+    """The candidate breaks no traffic rule (`traffic_rules`, which says what people must obey)."""
 
     name = "lawful"
     scope = "driven"
@@ -314,7 +314,8 @@ def _state(view: View, agent_id: AgentId) -> VehicleState:
 class Clean(Constraint):
     """Up to its collision the candidate does not leave the road, nor touch another agent.
 
-    Agents that it touches at the first step do not count.
+    A pedestrian may walk anywhere, but meets the AV on the road, as of `OnRoad`. Agents that it
+    touches at the first step do not count.
     """
 
     name = "clean"
@@ -358,7 +359,8 @@ def _touches_others(situation: Situation, own: Candidates, steps: Ints) -> Bools
 class OnRoad(Constraint):
     """Up to its collision the candidate does not leave the road.
 
-    A hit beside the road says little about the road.
+    A hit beside the road says little about the road. To cyclists cycle lanes are road. A pedestrian
+    comes from beside it: the place where it meets the AV is on a lane of any kind.
     """
 
     name = "on_road"
@@ -376,7 +378,7 @@ class WithTraffic(Constraint):
     """Up to its collision the candidate does not drive against the traffic for more than 1 s.
 
     A vehicle on the wrong side can hit anyone anywhere; one that drifts over the middle of the road
-    meets the AV within that second.
+    meets the AV within that second. It does not apply to pedestrians: all their candidates pass.
     """
 
     name = "with_traffic"
@@ -396,7 +398,8 @@ class WithTraffic(Constraint):
 class NoRearEnd(Constraint):
     """The candidate does not drive into the AV's rear end from behind.
 
-    A vehicle that follows can do so anywhere, so that it says little about the road.
+    A vehicle that follows can do so anywhere, so that it says little about the road. For people it
+    is the same: who walks or rides after a slow AV into its rear end.
     """
 
     name = "no_rear_end"

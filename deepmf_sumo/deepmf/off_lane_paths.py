@@ -92,7 +92,7 @@ class _Ways:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Goals:
+class _OffLaneGoals:
     """G goals with their ways and times; arrays (G).
 
     Attributes:
@@ -182,7 +182,7 @@ def _radius_m(start: Start, speed_mps: Floats, limits: MotionLimits) -> Floats:
     return np.asarray(np.maximum(speed_mps**2, _SLOWEST_MPS) / limits.lateral + narrowest)
 
 
-def _at_once(aim: _Aim, start: Start, limits: MotionLimits) -> list[_Goals]:
+def _at_once(aim: _Aim, start: Start, limits: MotionLimits) -> list[_OffLaneGoals]:
     """Goals that a constant speed reaches in time, if it turns now, abreast of it, or between."""
     abreast = np.maximum(aim.goal_m[:, 0], 0.0)
     moves = start.speed_mps > _SLOWEST_MPS
@@ -196,7 +196,9 @@ def _at_once(aim: _Aim, start: Start, limits: MotionLimits) -> list[_Goals]:
     return found
 
 
-def _timed(aim: _Aim, ahead_m: Floats, useful: Bools, start: Start, limits: MotionLimits) -> _Goals:
+def _timed(
+    aim: _Aim, ahead_m: Floats, useful: Bools, start: Start, limits: MotionLimits
+) -> _OffLaneGoals:
     """Goals at once with the speed that arrives in time."""
     seconds = np.asarray((aim.step + 1) * DT_S, float)
     radius = _radius_m(start, np.full(len(seconds), start.speed_mps), limits)
@@ -240,9 +242,9 @@ def _goals(
     kind: int = 0,
     departs_s: Floats | float = 0.0,
     halts_m: Floats | float = np.inf,
-) -> _Goals:
+) -> _OffLaneGoals:
     each = np.ones(len(aim.step))
-    found = _Goals(
+    found = _OffLaneGoals(
         way=way,
         departs_s=each * departs_s,
         hold_mps=each * hold_mps,
@@ -255,7 +257,7 @@ def _goals(
     return found.take(np.flatnonzero(possible))
 
 
-def _later(aim: _Aim, start: Start, limits: MotionLimits, *, on_foot: bool) -> list[_Goals]:
+def _later(aim: _Aim, start: Start, limits: MotionLimits, *, on_foot: bool) -> list[_OffLaneGoals]:
     """Goals for which the person stops or stands first: `wait`, `halt`, `return`."""
     seconds = np.asarray((aim.step + 1) * DT_S, float)
     stop_s, stop_m = start.speed_mps / limits.brake, start.speed_mps**2 / (2 * limits.brake)
@@ -291,7 +293,7 @@ def _later(aim: _Aim, start: Start, limits: MotionLimits, *, on_foot: bool) -> l
     return found
 
 
-def _best(goals: _Goals, count: int) -> _Goals:
+def _best(goals: _OffLaneGoals, count: int) -> _OffLaneGoals:
     """The best ``count``; of goals that end within half a metre at the same time only the best."""
     order = np.argsort(-goals.score, kind="stable")
     way = goals.way
@@ -303,7 +305,7 @@ def _best(goals: _Goals, count: int) -> _Goals:
     return goals.take(order[np.sort(first)[:count]])
 
 
-def _chosen(parts: list[_Goals], count: int) -> _Goals:
+def _chosen(parts: list[_OffLaneGoals], count: int) -> _OffLaneGoals:
     """At most ``count`` of all parts: the first of each, then the second of each, and so on."""
     turn = np.concatenate([np.arange(len(part.kind)) for part in parts])
     part = np.concatenate([np.full(len(one.kind), at) for at, one in enumerate(parts)])
@@ -311,15 +313,15 @@ def _chosen(parts: list[_Goals], count: int) -> _Goals:
     ways = [one.way for one in parts]
     joined = {
         one.name: np.concatenate([getattr(part, one.name) for part in parts])
-        for one in fields(_Goals)[1:]
+        for one in fields(_OffLaneGoals)[1:]
     }
     way = _Ways(
         **{one.name: np.concatenate([getattr(w, one.name) for w in ways]) for one in fields(_Ways)}
     )
-    return _Goals(way=way, **joined).take(order)
+    return _OffLaneGoals(way=way, **joined).take(order)
 
 
-def _covered(goals: _Goals, start: Start, limits: MotionLimits) -> Floats:
+def _covered(goals: _OffLaneGoals, start: Start, limits: MotionLimits) -> Floats:
     """(K, F) arc lengths at the steps from the next one on."""
     seconds = (np.arange(FUTURE_STEPS) + 1) * DT_S
     waits = goals.departs_s[:, None] > 0

@@ -159,6 +159,7 @@ _JOIN_STEPS = 15  # an initial mismatch of the prediction fades out over 1.5 s
 _LOOKAHEAD_S, _LOOKAHEAD_M = 0.6, 2.0
 _DAMPING_PER_S = 2.0  # both poles of the timing law
 _REST_MPS = 0.05  # a slower pedestrian turns freely
+_FACES_RPS = 5.0  # half a turn in 0.6 s
 _STEPS_MPS = 0.3  # recorded positions of a pedestrian who stands move as fast
 _COURSE_MPS = 1.0  # slower, a measured velocity does not show the slip angle: 0.1 m/s are 6 degrees
 _COURSE_SLIP = 0.2  # largest slip angle that is taken from a measured velocity, radians
@@ -211,7 +212,7 @@ class Start:
         course = float(np.arctan2(velocity_mps[1], velocity_mps[0])) if moves else heading_rad
         return cls(
             position_m=position_m,
-            heading_rad=course,
+            heading_rad=heading_rad,
             course_rad=course,
             speed_mps=speed if moves else 0.0,
             length_m=0.0,
@@ -344,13 +345,14 @@ class _Pedestrian:
         self._due_accel = np.gradient(self._due_velocity, DT_S, axis=0)
         self._place = due[0].copy()
         self._course = np.full(count, start.course_rad)
+        self._heading = np.full(count, start.heading_rad)
         self._speed = np.full(count, start.speed_mps)
         self._fastest_mps = max(start.motion.fastest_mps, start.speed_mps)
         self._accel, self._brake, self._lateral = np.asarray(limits, float).T
 
     def pose(self) -> tuple[Complexes, Floats, Floats]:
         """Position x + iy, heading, speed, (M) each."""
-        return self._place, self._course, self._speed
+        return self._place, self._heading, self._speed
 
     def advance(self, step: int) -> None:
         """One step of DT_S towards where the references are at ``step`` (0: one step from now)."""
@@ -369,6 +371,8 @@ class _Pedestrian:
         driven = (before + after) / 2 * DT_S
         self._place = self._place + driven * np.exp(1j * (course + turn / 2))
         self._course, self._speed = course + turn, after
+        facing = frames.difference(self._course, self._heading) * (after > _REST_MPS)
+        self._heading = self._heading + np.clip(facing, -_FACES_RPS * DT_S, _FACES_RPS * DT_S)
 
     def _wanted_velocity(self, step: int) -> Complexes:
         """(M) velocities vx + i vy after the step that keep to the references' timing."""

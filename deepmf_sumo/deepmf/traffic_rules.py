@@ -14,6 +14,12 @@ A future is lawful if
   half of its speed.
 
 None of this applies where the AV enters the opponent's path: that is a lawful attack.
+
+A pedestrian does not step into the AV's way, nor does a cyclist who is on no lane for cars ride
+into it, where the AV could no longer stop before it: see `steps_out`. Nothing else is asked of
+them: the map has neither lights for pedestrians nor sidewalks. A cyclist on a lane for cars drives
+by the rules of vehicles.
+
 Lights are assumed not to change until the next plan. Rules that the map does not contain are not
 applied: recordings have no right of way at junctions, and a vehicle that starts off the lanes may
 drive anywhere. Only the AV is considered, not other vehicles.
@@ -270,6 +276,52 @@ def _leads(driven: LaneFutures) -> bool:
     return bool((hit & same & ~clear(driven.av_z_m, np.array(driven.z_now_m))).any())
 
 
+REACTS_S: Final = 1.0
+_UNSTOPPED_SHARE = 0.1  # of the AV's futures; some of them may be too fast in any case
+_BESIDE_M = 0.3
+
+
+def steps_out(situation: Situation, own: Candidates) -> Bools:
+    """(N) candidates that come into the AV's way where it could not stop before them any more.
+
+    Convention on Road Traffic (Vienna, 1968), article 20, 6 b and c: pedestrians step onto the road
+    only if the distance and the speed of vehicles allow it, on a crossing, too. The AV can stop if
+    the distance along its way, from its front to the candidate's box, is at least v t + v^2 / (2 b)
+    with `REACTS_S` and `RED_MPS2`, at the step at which the candidate first comes within 0.3 m of
+    the way. Who is in the way now has not stepped out; behind the AV nobody does. All but 10 % of
+    the AV's futures without an attack count.
+    """
+    av = situation.unattacked
+    assert av is not None
+    here = np.concatenate([np.tile(situation.start.position_m, (len(own.speed_mps), 1, 1)),
+                           own.forecast.futures.position_m], axis=1)[:, ::EVERY_STEPS]  # fmt: skip
+    row = situation.view.history.row(situation.view.av_id)
+    now_m = situation.view.history.position_m[row, -1]
+    unstopped = np.zeros(len(here))
+    for future, chance in zip(av.futures.position_m, av.probability, strict=True):
+        way = np.concatenate([now_m[None], future])
+        unstopped += chance * _unstopped(situation, here, way)
+    return np.asarray(unstopped > _UNSTOPPED_SHARE)
+
+
+def _unstopped(situation: Situation, here_m: Floats, way_m: Floats) -> Bools:
+    """(N) of `steps_out`, for positions (N, S, 2) from now on and one way (F + 1, 2) of the AV."""
+    (length, width), (av_length, av_width) = situation.size_m, situation.av_size_m
+    beside_m = (av_width + max(length, width)) / 2 + _BESIDE_M
+    if polylines.arc_lengths(way_m)[-1] < 1e-6:
+        return np.zeros(len(here_m), bool)
+    foot = polylines.project(way_m, here_m)
+    driven = polylines.arc_lengths(way_m)
+    speed = np.gradient(driven, DT_S)
+    steps = np.minimum(np.arange(here_m.shape[1]) * EVERY_STEPS, len(way_m) - 1)
+    apart = foot.along_m - driven[steps] - (av_length + max(length, width)) / 2
+    in_way = (foot.distance_m <= beside_m) & (apart > -av_length)
+    first = in_way.argmax(axis=1)
+    needed = speed[steps] * REACTS_S + speed[steps] ** 2 / (2 * RED_MPS2)
+    rows = np.arange(len(here_m))
+    return np.asarray(in_way.any(axis=1) & (first > 0) & (apart[rows, first] < needed[first]))
+
+
 @dataclass(slots=True)
 class Law:
     """The traffic rules for one attack, with a memory of the opponent's behaviour in earlier plans.
@@ -291,9 +343,12 @@ class Law:
         ``collision_step`` (N, M): first contact of each candidate and reaction; F without contact.
         """
         view, agent_id = situation.view, situation.opponent_id
+        if situation.on_foot:
+            return ~steps_out(situation, own)
         driven = LaneFutures.of(situation, own)
         if not driven.assignment.begins.any():
-            return np.ones(len(own.speed_mps), bool)
+            lawful = np.ones(len(own.speed_mps), bool)
+            return ~steps_out(situation, own) if situation.person else lawful
         self._forget(view)
         touches = (collision_step < own.speed_mps.shape[1]).any(axis=1)
         halts, over_line = self._lines(view, agent_id, driven)

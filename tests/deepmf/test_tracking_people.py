@@ -74,7 +74,9 @@ def test_a_pedestrian_at_rest_starts_towards_any_side(side):
     assert tracked.bent_m[0] < 0.1
     gone = tracked.position_m[0, -1] - start.position_m
     np.testing.assert_allclose(gone / np.hypot(*gone), frames.unit(side), atol=1e-2)
-    walks = tracked.speed_mps[0] > 0.2
+    turned = np.abs(frames.difference(tracked.heading_rad[0, 1:], tracked.heading_rad[0, :-1]))
+    assert turned.max() <= 0.5 + 1e-9
+    walks = tracked.speed_mps[0] > 1.0
     off = np.abs(frames.difference(tracked.heading_rad[0, walks], side))
     assert off.max() < 0.02  # faces the way that it goes
 

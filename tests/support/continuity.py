@@ -26,6 +26,8 @@ SLIP = 0.4
 TURN_RAD = 0.15
 TURN_PER_M = 0.35
 """The curvature of SUMO's narrowest turns, and a hand-over's 0.1 rad."""
+ON_FOOT_RAD = 0.5
+"""Pedestrians turn on the spot, by at most half a turn in 0.6 s."""
 LANE_M = 4.5
 """SUMO without its sublane model moves its own vehicles to the next lane within one step."""
 TELEPORTS = {"av_teleported", "teleported"}
@@ -83,6 +85,7 @@ def _bounds(
     tracks: Tracks, fastest: np.ndarray, sumos: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """What is measured of each step (A, T - 1), and the most that speeds explain."""
+    on_foot = np.array([kind == "pedestrian" for kind in tracks.kinds], bool)[:, None]
     moved = np.diff(tracks.position_m, axis=1)
     turn = (np.diff(tracks.heading_rad, axis=1) + np.pi) % (2 * np.pi) - np.pi
     middle = tracks.heading_rad[:, :-1] + turn / 2
@@ -90,7 +93,8 @@ def _bounds(
     far, way = np.hypot(*np.moveaxis(moved, -1, 0)), fastest * DT_S
     yield "moves", far, np.where(sumos, LANE_M, SLACK_M) + FASTER * way
     yield "moves sideways by", aside, np.where(sumos, LANE_M, ASIDE_M) + SLIP * way
-    yield "turns by", np.abs(turn), np.where(sumos, np.pi, TURN_RAD) + TURN_PER_M * way
+    most = np.where(on_foot, ON_FOOT_RAD, TURN_RAD)
+    yield "turns by", np.abs(turn), np.where(sumos, np.pi, most) + TURN_PER_M * way
 
 
 def _contacts_at_hand_overs(rollout: Rollout) -> Iterator[str]:

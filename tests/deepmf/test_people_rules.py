@@ -1,0 +1,136 @@
+"""What constraints mean for people: the law, the road, the side of the road."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepmf_sumo.deepmf.candidates import Candidates, against_traffic, leaves_road, off_road
+from deepmf_sumo.deepmf.traffic_rules import Law
+from deepmf_sumo.scene import Forecast, Futures, Lane, RoadMap
+
+from tests.deepmf.test_off_lane_paths import ahead, situation_of
+from tests.support.one_attacker import plan_of
+from tests.support.people_views import people_policy, people_view
+from tests.support.predictor_doubles import STEPS, straight_road
+
+UP = np.pi / 2
+
+
+def own_of(*ways, heading=UP):
+    """Candidates along positions (F, 2)."""
+    position = np.stack(ways)
+    count = len(position)
+    futures = Futures(agent_id="p", position_m=position, heading_rad=np.full((count, 80), heading))
+    return Candidates(
+        forecast=Forecast(futures=futures, probability=np.full(count, 1 / count)),
+        speed_mps=np.ones((count, 80)),
+        bent_m=np.zeros(count),
+        origin=("mode",) * count,
+    )
+
+
+def across(x, begin, speed=1.4, y=-2.0):
+    """Over the road from (x, y) from a second on."""
+    return np.stack([np.full(80, x), y + speed * np.maximum(STEPS - begin, 0.0)], -1)
+
+
+def lawful(situation, own):
+    steps = np.full((len(own.origin), 1), 80.0)
+    return Law().lawful(situation, own, steps).tolist()
+
+
+def test_a_pedestrian_steps_out_only_where_the_av_can_still_stop():
+    """At 10 m/s it needs 10 m + 10 m: its front must be 20 m before the pedestrian's box.
+
+    From x = 50 with half-lengths of 2.4 m and 0.3 m that holds until 2.73 s, when the box comes
+    within 0.3 m of the way: 0.29 s after it has set off from 2 m beside the middle.
+    """
+    situation = situation_of(("pedestrian", 50, -2.0, UP, 0.0))
+    begins = [0.0, 1.5, 2.2, 3.0, 4.0]
+    found = lawful(situation, own_of(*(across(50.0, begin) for begin in begins)))
+    assert found == [True, True, True, False, False]
+
+
+def test_behind_the_av_nobody_steps_out():
+    situation = situation_of(("pedestrian", 50, -2.0, UP, 0.0))
+    assert lawful(situation, own_of(across(50.0, 6.5), across(50.0, 4.8))) == [True, False]
+
+
+def test_who_is_on_the_way_already_has_not_stepped_out():
+    situation = situation_of(("pedestrian", 12, 0.0, UP, 0.0))
+    stays = np.tile([12.0, 0.0], (80, 1))
+    assert lawful(situation, own_of(stays)) == [True]
+
+
+def test_a_slower_av_can_stop_where_a_faster_one_cannot():
+    step = own_of(across(30.0, 0.0))
+    found = [
+        lawful(situation_of(("pedestrian", 30, -2.0, UP, 0.0), ahead(speed)), step)[0]
+        for speed in (8.0, 14.0)
+    ]
+    assert found == [True, False]
+
+
+def test_one_unlikely_future_of_the_av_forbids_nothing():
+    slow, fast = ahead(8.0), ahead(14.0)
+    for chance, allowed in ((0.05, True), (0.3, False)):
+        both = Forecast(
+            futures=Futures(
+                agent_id="av",
+                position_m=np.concatenate([slow.futures.position_m, fast.futures.position_m]),
+                heading_rad=np.zeros((2, 80)),
+            ),
+            probability=np.array([1 - chance, chance]),
+        )
+        situation = situation_of(("pedestrian", 30, -2.0, UP, 0.0), both)
+        assert lawful(situation, own_of(across(30.0, 0.0))) == [allowed]
+
+
+def test_a_cyclist_beside_the_lanes_obeys_the_same():
+    """From 6 m beside the road, where no lane is."""
+    situation = situation_of(("cyclist", 50, -6.0, UP, 4.0))
+    found = lawful(situation, own_of(across(50.0, 0.0, 4.0, -6.0), across(50.0, 2.6, 4.0, -6.0)))
+    assert found == [True, False]
+
+
+def test_a_pedestrian_is_never_off_the_road_but_meets_the_av_on_it():
+    situation = situation_of(("pedestrian", 50, -4.0, UP, 0.0))
+    own = own_of(across(50.0, 0.0, y=-4.0))
+    assert not off_road(situation, own.forecast.futures.position_m).any()
+    met = [leaves_road(situation, own, np.array([float(step)]))[0] for step in (5, 40, 80)]
+    assert met == [True, False, False]  # at the kerb; on the lane; not at all
+
+
+def test_a_cycle_lane_is_road_to_a_cyclist_alone():
+    points = np.stack([np.linspace(-100.0, 300.0, 81), np.full(81, -3.2)], -1)
+    lane = Lane(id="b", kind="bike", centre_m=points, z_m=np.zeros(81), width_m=1.5)
+    road = RoadMap(lanes={**straight_road().lanes, "b": lane})
+    rides = np.stack([10 + 4 * STEPS, np.maximum(-1.0 - STEPS, -3.2)], -1)
+    own = own_of(rides, heading=0.0)
+    for kind, leaves in (("cyclist", False), ("vehicle", True)):
+        view = people_view(
+            {"av": ("vehicle", 0, 0, 0, 10.0), "p": (kind, 10, -1.0, 0, 4.0)}, road=road
+        )
+        situation = replace(situation_of(("cyclist", 10, -1.0, 0, 4.0)), view=view)
+        assert bool(leaves_road(situation, own, np.array([80.0]))[0]) == leaves
+
+
+def test_only_those_with_wheels_keep_to_a_side():
+    against = np.stack([60.0 - 1.4 * STEPS, np.zeros(80)], -1)
+    for kind, wrong in (("pedestrian", False), ("cyclist", True)):
+        situation = situation_of((kind, 60, 0.0, np.pi, 1.4))
+        own = own_of(against, heading=np.pi)
+        assert bool(against_traffic(situation, own, np.array([80.0]))[0]) == wrong
+
+
+@pytest.mark.parametrize("constraint", ["fair", "lawful", "on_road", "clean", "no_rear_end"])
+@pytest.mark.parametrize("person", [("pedestrian", 45, -4, UP, 1.2), ("cyclist", 25, -3, 0.0, 4.0)])
+def test_every_constraint_judges_people(constraint, person):
+    view = people_view({"av": ("vehicle", 0, 0, 0, 10.0), "p": person})
+    made = people_policy(opponent="p", constraints=[constraint], rule="likeliest")
+    made.reset(view, np.random.default_rng(0))
+    reason = plan_of(made, view).reason
+    assert reason.allowed[constraint].any()
+    chosen = reason.chosen
+    assert reason.allowed[constraint][chosen] or not reason.collides[chosen].any()
