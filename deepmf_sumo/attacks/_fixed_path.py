@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,11 +14,12 @@ from pydantic import Field, model_validator
 from deepmf_sumo import files, plugins
 from deepmf_sumo.deepmf.opponent import named
 from deepmf_sumo.errors import PluginError, RunError
-from deepmf_sumo.scene import AgentId, Floats, Plan, View
+from deepmf_sumo.scene import AgentId, AgentKind, Floats, Plan, View
 from deepmf_sumo.scene.geometry import frames
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
 _SPEED = "speed_mps"
+_DRIVABLE: Final[tuple[AgentKind, ...]] = ("vehicle", "pedestrian", "cyclist")
 _NEAR_M = 0.35
 """A first pose farther from where the vehicle drives on to is away from it."""
 _FAR_M = 10.0
@@ -44,10 +45,11 @@ class Settings(plugins.Settings):
     """The opponent and its trajectory; exactly one of ``poses`` and ``file``.
 
     Attributes:
-        agent: id of the opponent.
+        agent: id of the opponent: a vehicle, a cyclist, or a person, whom ``person NAME`` names, or
+            as SUMO has it where no vehicle has the name.
         poses: rows of x_m, y_m, heading_rad (box centre, radians), and optionally speed_mps, one
             for each step of 0.1 s. Speeds that are not stated follow from the poses. Where the
-            first one is up to 10 m beside the vehicle, it drives there from where it is.
+            first one is up to 10 m beside the opponent, it goes there from where it is.
         file: a table (.csv, .csv.gz) with columns step, x_m, y_m, heading_rad, and optionally
             speed_mps and id (rows of other agents are ignored), such as a tracks.csv.gz of a
             result; or an .npz with arrays step (K), position_m (K, 2), heading_rad (K), and
@@ -94,7 +96,8 @@ class TrajectoryPolicy:
 
     def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
         """The named opponent. Raises RunError if it is not in the view."""
-        return (named(view, self._agent),)
+        self._agent = named(view, self._agent, _DRIVABLE)
+        return (self._agent,)
 
     def plan(self, view: View) -> Mapping[AgentId, Plan]:
         """All poses after the view's step. Raises RunError if the next step has none."""

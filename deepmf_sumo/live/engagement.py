@@ -1,5 +1,6 @@
 """One attack on a running simulation: views for the policy, the attackers' motion, its end."""
 
+import functools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.plan import TurnEnd
 from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.scene.rollout import decisive
+from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
@@ -114,7 +116,8 @@ class Engagement:
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
         self._events: list[Event] = []
-        self._takeover = Takeover(scenery.api, self._events)
+        footways = functools.partial(footways_of, scenery.surroundings.net)
+        self._takeover = Takeover(scenery.api, self._events, footways=footways)
         owner = SumoOwner(self._takeover, self._around)
         self._motion = ShownMotion(scenery.api, av, observer.bodies.ask(av).size_m[0])
         if detail := observer.bodies.stiffened():
@@ -237,7 +240,7 @@ class Engagement:
 
     def _there(self, agent: AgentId, sighting: Sighting) -> bool:
         """Whether SUMO has the agent; its search does not find vehicles off every lane."""
-        return agent in sighting.vehicles or self._scenery.observer.position(agent) is not None
+        return agent in sighting.all() or self._scenery.observer.position(agent) is not None
 
     def _pose(self, agent: AgentId) -> Pose | None:
         """Where SUMO has an agent now."""

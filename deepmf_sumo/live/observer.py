@@ -107,11 +107,14 @@ class LiveObserver:
         return seen
 
     def position(self, agent: AgentId) -> tuple[float, float] | None:
-        """Front bumper of a vehicle; None if it is not on the road."""
-        vehicle = self._api.vehicle
-        if agent not in vehicle.getIDList():
+        """Front of a vehicle, or of a person on foot; None if it is not on the road."""
+        name = agent_ids.person_of(agent)
+        domain = self._api.vehicle if name is None else self._api.person
+        if (agent if name is None else name) not in domain.getIDList():
             return None
-        x, y = vehicle.getPosition(agent)[:2]
+        if name is not None and not on_foot(domain.getVehicle(name)):
+            return None
+        x, y = domain.getPosition(agent if name is None else name)[:2]
         return (float(x), float(y)) if somewhere((x, y)) else None
 
     def pose(self, sighting: Sighting, agent: AgentId) -> Pose:

@@ -22,3 +22,9 @@ class Owner:
 
     def lane_cost(self, agent, lane_id):
         return 0.0
+
+    def walk(self, agent, pose):
+        return None
+
+    def refusals(self, agents):
+        return {}

@@ -7,14 +7,17 @@ from itertools import chain
 
 import numpy as np
 
+from deepmf_sumo.errors import RunError
 from deepmf_sumo.scene import DT_S, AgentId, Event, Floats, Plan, Turn, TurnRules, View
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.ground import distance_m, ground_of
+from deepmf_sumo.scene.geometry.road import all_lanes, lanes_for_cars
 from deepmf_sumo.scene.plan import TurnEnd
 from deepmf_sumo.scene.policy import Policy, chosen, planned
 from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.sumo.simulation.contacts import overlapping
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.ownership import NextOwner
 from deepmf_sumo.sumo.simulation.way_on import WayOn
 
@@ -42,10 +45,11 @@ class AttackingVehicle:
 
     def __init__(self, agent: AgentId, view: View, next_owner: NextOwner) -> None:
         self.id = agent
+        self._kind = view.history.kinds[view.history.row(agent)]
         self._next_owner, self._road = next_owner, view.road
         self._plan: Plan | None = None
         self._driven: Pose | None = None  # where it was put for the last step
-        self._way: WayOn | None = None
+        self._way: WayOn | Walk | None = None
         self._alone_steps = 0
         self._planned_from = np.zeros(3)
         self.first_step = view.step
@@ -90,10 +94,15 @@ class AttackingVehicle:
             return None
         self._alone_steps += 1
         if self._way is None:
-            cost = partial(owner.lane_cost, self.id)
-            self._way = WayOn(self._road, self._driven, self._height_m(), creep_mps, cost)
+            self._way = owner.walk(self.id, self._driven) or self._way_on(creep_mps)
         self._driven = self._way.next(partial(owner.clear, self.id))
         return self._driven
+
+    def _way_on(self, creep_mps: float) -> WayOn:
+        assert self._driven is not None
+        cost, z_m = partial(self._next_owner.lane_cost, self.id), self._height_m()
+        lanes = all_lanes if self._kind == "cyclist" else lanes_for_cars
+        return WayOn(self._road, self._driven, z_m, creep_mps, cost, lanes)
 
     def go_on_as(self, before: "AttackingVehicle") -> None:
         """It attacked before, as ``before``, and is still on its way to its next owner."""
@@ -113,6 +122,8 @@ class AttackingVehicle:
 
     def _on_its_way(self) -> str:
         if self._next_owner.creep_mps(self.id) > 0:
+            if self._kind == "pedestrian":
+                return "SUMO cannot walk it on from where it is: it goes to a footway first"
             return "SUMO cannot drive it from where it is: it returns to a lane first"
         return "the log has it elsewhere: it comes to a stop"
 
@@ -308,14 +319,30 @@ class AttackSchedule:
         if self._policy is None:
             return
         if self._rules is None:
-            self._start(chosen(self._policy, view, self._rng), view)
+            self._start(self._chosen(self._policy, view), view)
             return
         if view.steps_left < _SHORTEST_STEPS:
             return
         for shown in self._choices(self._within_turn(view, view.step), self._rules):
-            self._start(chosen(self._policy, shown, self._rng), shown)
+            self._start(self._chosen(self._policy, shown), shown)
             if self._ongoing:
                 return
+
+    def _chosen(self, policy: Policy, view: View) -> tuple[AgentId, ...]:
+        """The choice of the policy among those that it can drive.
+
+        Raises RunError as the policy does; the message says who was left out, and why.
+        """
+        refusals = self._next_owner.refusals(view.history.ids)
+        if not refusals:
+            return chosen(policy, view, self._rng)
+        tracks = view.history
+        kept = [row for row, agent in enumerate(tracks.ids) if agent not in refusals]
+        try:
+            return chosen(policy, replace(view, history=tracks.select(kept)), self._rng)
+        except RunError as error:
+            why = "; ".join(dict.fromkeys(refusals.values()))
+            raise RunError(f"{error} Left out: {why}.") from None
 
     def _start(self, agents: Sequence[AgentId], view: View) -> None:
         self._ongoing = self._joining(agents, view)

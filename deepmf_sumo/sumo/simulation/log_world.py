@@ -31,6 +31,7 @@ from deepmf_sumo.sumo.simulation.log_plan import (
 )
 from deepmf_sumo.sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
+from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.ownership import LogOwner, NextOwner, logged
 from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion, read_pose
 from deepmf_sumo.sumo.simulation.sumo_api import (
@@ -247,6 +248,14 @@ class _LogOrSumo:
         """Of the log: lanes of recordings are not SUMO's, which does not know their names."""
         return self._log.lane_cost(agent, lane_id)
 
+    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
+        """Of the log, which has all pedestrians."""
+        return self._log.walk(agent, pose)
+
+    def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:
+        """Nobody."""
+        return self._log.refusals(agents)
+
 
 _OPTIONS = (
     *("--step-method.ballistic", "true"),  # positions move at the mean speed of a step
@@ -279,7 +288,8 @@ class LogWorld:
     """The planner drives the AV, the policy the opponent while it has a plan, the log the rest.
 
     With ``traffic: sumo`` SUMO drives the rest. Pedestrians, cyclists, and vehicles that stand
-    beside the lanes are boxes outside SUMO: SUMO's own perception does not see them, views do.
+    beside the lanes are boxes outside SUMO: SUMO's own perception does not see them, views do. Who
+    is driven by the policy is in SUMO as long as that lasts, and SUMO's vehicles brake for it.
     """
 
     def __init__(self, api: SumoApi, case: RecordedCase, model: VehicleModel | None) -> None:
@@ -468,7 +478,7 @@ class LogWorld:
         for agent, pose in poses.items():
             row = self._row[agent]
             if not self._free.drives(row):
-                if pose is not None and self._tracks.kinds[row] == "vehicle":
+                if pose is not None and self._tracks.kinds[row] != "other":
                     self._placed.put(row, pose)
             elif pose is None:
                 self._takeover.hand_back(self._step, agent)

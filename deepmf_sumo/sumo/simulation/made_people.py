@@ -6,7 +6,7 @@ the lanes SUMO's vehicles do not see it; on a lane they brake for it as for a ve
 SUMO 1.28: from where its box reaches into the lane on).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -14,18 +14,15 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from deepmf_sumo.scene import DT_S, AgentId, Floats, MadeRoadUser
+from deepmf_sumo.scene import AgentId, Floats, MadeRoadUser
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.road_users import ROAD_USERS, RoadUser
 from deepmf_sumo.sumo.simulation.frame import Body, Pose
+from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.ownership import NextOwner
 from deepmf_sumo.sumo.simulation.sumo_api import ANY_ROUTE, MADE_TYPE, SumoApi
 from deepmf_sumo.sumo.simulation.vehicle_control import move
 
-WALK_MPS: Final = 1.36
-"""Mean speed of a walk (Randles, 288 people)."""
-_TURN_RAD: Final = 0.15
-"""A person turns at most so far in a step."""
 _AHEAD_M: Final = 0.5
 """The heading on a way is that of the chord from so far behind to so far ahead."""
 BESIDE_M: Final = 0.5
@@ -33,10 +30,6 @@ BESIDE_M: Final = 0.5
 _REACH_M: Final = 25.0
 _ANYWHERE_M: Final = 1000.0
 """SUMO inserts a vehicle near a lane alone; it is put exactly where it belongs all the same."""
-_THERE_M: Final = 0.1
-_SHOWS_MPS: Final = 0.2
-"""Slower motion does not turn a body."""
-_AT_REST_MPS: Final = 0.02
 
 Around = Callable[[Floats, float, float], BaseGeometry]
 """The carriageway within reach of a position (2,), at a height."""
@@ -95,11 +88,8 @@ def _braked(speed: float, brake: float, left_m: float, time_s: float) -> tuple[f
     return gone_m, max(speed - brake * braking_s, 0.0)
 
 
-class WayOff:
-    """The way of a person off the road, from wherever a policy let go of it.
-
-    It walks to the nearest place beside the carriageway and stays. Its velocity changes by at most
-    what is planned for its class, and it does not step into a box that is in its way.
+class WayOff(Walk):
+    """The way of a person off the road: to the nearest place beside the carriageway, to stay.
 
     Args:
         pose: the last one of the policy.
@@ -108,56 +98,11 @@ class WayOff:
     """
 
     def __init__(self, pose: Pose, user: RoadUser, around: Around) -> None:
-        self._pose, self._limits = pose, user.motion.planned
-        self._velocity = pose.speed_mps * frames.unit(
-            np.array(pose.heading_rad if pose.course_rad is None else pose.course_rad)
-        )
+        limits = user.motion.planned
         here = np.array([pose.x_m, pose.y_m])
-        stop_m = pose.speed_mps**2 / (2 * self._limits.brake)
+        stop_m = pose.speed_mps**2 / (2 * limits.brake)
         comes_to = here + stop_m * frames.unit(np.array(pose.heading_rad))
-        self._goal = _beside(comes_to, user, around(here, _REACH_M, pose.z_m))
-
-    def next(self, clear: Callable[[Sequence[Pose]], bool]) -> Pose:
-        """The pose after one more step; ``clear`` says whether poses are free."""
-        pose = self._stepped(self._wanted())
-        if pose.speed_mps > _AT_REST_MPS and not clear([pose]):
-            pose = self._stepped(np.zeros(2))
-        self._pose = pose
-        return pose
-
-    def _wanted(self) -> Floats:
-        """The velocity (2,) that takes it to its goal, and lets it stop there."""
-        off = self._goal - np.array([self._pose.x_m, self._pose.y_m])
-        away_m = float(np.hypot(*off))
-        if away_m < _THERE_M:
-            return np.zeros(2)
-        fastest = min(WALK_MPS, float(np.sqrt(self._limits.brake * away_m)))
-        return np.asarray(fastest * off / away_m, float)
-
-    def _stepped(self, wanted: Floats) -> Pose:
-        change = wanted - self._velocity
-        braking = float(wanted @ wanted) < float(self._velocity @ self._velocity)
-        most = DT_S * (self._limits.brake if braking else self._limits.accel)
-        size = float(np.hypot(*change))
-        before = self._velocity
-        after = before + change * (min(1.0, most / size) if size > 0 else 0.0)
-        if float(np.hypot(*after)) < _AT_REST_MPS:
-            after = np.zeros(2)
-        self._velocity = after
-        moved = (before + after) / 2 * DT_S
-        heading, speed = self._pose.heading_rad, float(np.hypot(*after))
-        if speed > _SHOWS_MPS:
-            course = float(np.arctan2(after[1], after[0]))
-            turn = float(frames.difference(course, heading))
-            heading = float(frames.wrap(heading + np.clip(turn, -_TURN_RAD, _TURN_RAD)))
-        return Pose(
-            x_m=self._pose.x_m + float(moved[0]),
-            y_m=self._pose.y_m + float(moved[1]),
-            heading_rad=heading,
-            speed_mps=speed,
-            course_rad=float(np.arctan2(after[1], after[0])) if speed > 0 else None,
-            z_m=self._pose.z_m,
-        )
+        super().__init__(pose, limits, _beside(comes_to, user, around(here, _REACH_M, pose.z_m)))
 
 
 def _beside(place_m: Floats, user: RoadUser, carriageway: BaseGeometry) -> Floats:
@@ -255,3 +200,11 @@ class OwnerOfMade:
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
         """As of other vehicles."""
         return self._others.lane_cost(agent, lane_id)
+
+    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
+        """As of other road users."""
+        return self._others.walk(agent, pose)
+
+    def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:
+        """As of other road users."""
+        return self._others.refusals(agents)

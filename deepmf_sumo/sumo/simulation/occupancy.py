@@ -1,12 +1,12 @@
 """Which agents are around a vehicle, touch it, or are in its way."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.scene import DT_S, AgentId, Floats
+from deepmf_sumo.scene import DT_S, AgentId, Floats, agent_ids
 from deepmf_sumo.scene.agent_ids import whole_of
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.ground import clear
@@ -54,6 +54,16 @@ class Occupancy:
             self.size_m[others],
         )
         return not bool(np.any(hit))
+
+    def without_persons(self, agent: AgentId) -> "Occupancy":
+        """The same without all persons of SUMO but ``agent``."""
+        kept = [
+            row
+            for row, one in enumerate(self.frame.ids)
+            if one == agent or agent_ids.person_of(one) is None
+        ]
+        frame = self.frame.of_agents({self.frame.ids[row] for row in kept})
+        return replace(self, frame=frame, size_m=self.size_m[kept])
 
     def _touching(self, agent: AgentId) -> list[int]:
         frame = self.frame

@@ -10,6 +10,7 @@ plan, the log or SUMO would have it:
 | policy | log | only at a step at which the log has it where it gets by itself (`continues`) |
 | policy | SUMO | only from a pose from which SUMO drives on without moving or turning it |
 | policy | policy | neither takes it: it follows the nearest lane (`way_on`), in the log to a stop |
+| policy | policy | a person walks to the nearest footway (`on_foot`), in the log it stops |
 | log | planner | from the recorded pose of the current step |
 | planner | planner | off every lane, where SUMO drives nothing: it goes back to one, or stops |
 
@@ -17,14 +18,16 @@ plan, the log or SUMO would have it:
 overlap that begins in the step of a hand-over is no contact (`contacts`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final, Protocol
 
 import numpy as np
 
 from deepmf_sumo.scene import DT_S, AgentId, Tracks
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.sumo.simulation.frame import Pose
+from deepmf_sumo.sumo.simulation.on_foot import Walk
 
 _ALONG_M: Final = 0.3
 _ASIDE_M: Final = 0.2
@@ -50,6 +53,14 @@ class NextOwner(Protocol):
 
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
         """Metres that another lane may be farther off to be as good; None: not allowed there."""
+        ...
+
+    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
+        """The way of a person to where it is taken; None for those who follow lanes."""
+        ...
+
+    def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:
+        """Those that no policy can drive, and why."""
         ...
 
 
@@ -92,6 +103,16 @@ class LogOwner:
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:  # noqa: ARG002
         """0 for vehicles: recordings do not say which lanes they may use. Others follow no lane."""
         return 0.0 if self._tracks.kinds[self._tracks.row(agent)] == "vehicle" else None
+
+    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
+        """Of pedestrians: they stop. Recordings do not say where people may walk."""
+        if self._tracks.kinds[self._tracks.row(agent)] != "pedestrian":
+            return None
+        return Walk(pose, ROAD_USERS["pedestrian"].motion.planned, None)
+
+    def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:  # noqa: ARG002
+        """Nobody: all are boxes that are put anywhere."""
+        return {}
 
 
 def logged(tracks: Tracks, row: int, step: int) -> Pose:

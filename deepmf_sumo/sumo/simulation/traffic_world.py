@@ -25,6 +25,7 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.sumo.network.carriageway import carriageway_of
+from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
@@ -80,7 +81,8 @@ class TrafficWorld:
         self._ground = ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case, configuration)
-        self._takeover = Takeover(api, self.events, leaves=True)
+        footways = partial(footways_of, configuration.net)
+        self._takeover = Takeover(api, self.events, leaves=True, footways=footways)
         self._made = self._made_of(case)
         self._frames = self._run_to(case)
         if case.av_id not in api.vehicle.getIDList():

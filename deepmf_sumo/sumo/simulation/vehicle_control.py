@@ -1,4 +1,7 @@
-"""Control of vehicles in SUMO's traffic: placing them at poses, and handing them back to SUMO."""
+"""Control of road users in SUMO's traffic: placing them at poses, handing them back to SUMO.
+
+Persons are moved by `person_control`; vehicles, bicycles among them, here.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -6,10 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.scene import AgentId, Event, Floats
+from deepmf_sumo.scene import AgentId, Event, Floats, agent_ids
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
+from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS, Walk
+from deepmf_sumo.sumo.simulation.person_control import SEEN_ON_ANY_LANE, PersonControl
+from deepmf_sumo.sumo.simulation.road_users import kind_of
 from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
 
 MATCH_M: Final = 5.0
@@ -41,15 +48,17 @@ def move(
     match_m: float,
     *,
     on_route: bool = False,
+    any_lane: bool = False,
 ) -> None:
     """Put a vehicle exactly there at the end of the coming step.
 
     ``match_m``: largest distance of the front from a lane on which SUMO still takes the vehicle;
-    ``on_route``: of its route alone.
+    ``on_route``: of its route alone; ``any_lane``: also of lanes that its class may not use.
     """
     front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
     x, y = float(front[0]), float(front[1])
     keep = _EXACT_ON_ROUTE if on_route else _EXACT
+    keep += SEEN_ON_ANY_LANE if any_lane else 0
     api.vehicle.moveToXY(vehicle_id, "", -1, x, y, float(angle), keep, match_m)
 
 
@@ -219,20 +228,29 @@ class _Taken:
     length_m: float
     route: tuple[str, ...]
     stops: bool
+    rides: bool
     pose: Pose
 
 
 class Takeover:
-    """The vehicles that a policy drives in SUMO.
+    """The vehicles and persons that a policy drives in SUMO.
 
     Args:
         api: a running SUMO.
         events: notes are added to it.
         leaves: whether a vehicle that is placed beyond the end of the network is taken off the
             road, as SUMO does with its own.
+        footways: of the network, where persons are moved.
     """
 
-    def __init__(self, api: SumoApi, events: list[Event], *, leaves: bool = False) -> None:
+    def __init__(
+        self,
+        api: SumoApi,
+        events: list[Event],
+        *,
+        leaves: bool = False,
+        footways: Callable[[], Footways] = no_footways,
+    ) -> None:
         self._api = api
         self._events = events
         self._leaves = leaves
@@ -240,14 +258,21 @@ class Takeover:
         self._hand_over = HandOver(api)
         self._taken: dict[AgentId, _Taken] = {}
         self._gone: set[AgentId] = set()
+        self._step = 0
+        self.persons = PersonControl(api, footways, self._note_now)
 
     def placed(self) -> dict[AgentId, Pose]:
-        """The vehicles that SUMO does not drive, and where they were put in the last step."""
-        return {agent: taken.pose for agent, taken in self._taken.items()}
+        """Those that SUMO does not drive, and where they were put in the last step."""
+        vehicles = {agent: taken.pose for agent, taken in self._taken.items()}
+        return vehicles | self.persons.placed()
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
-        """Put a vehicle at the pose at the end of the coming step, or take it off the road."""
+        """Put a road user at the pose at the end of the coming step, or take it off the road."""
+        self._step = step
         if not self._present(step, agent):
+            return
+        if agent_ids.person_of(agent) is not None:
+            self.persons.place(agent, pose, length_m)
             return
         if self._leaves and self._ends.passed(agent, pose, length_m):
             self._api.vehicle.remove(agent, _ARRIVED)
@@ -259,7 +284,8 @@ class Takeover:
         taken = self._taken[agent]
         taken.pose = pose
         self._hand_over.fit(agent, pose, length_m)
-        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops)
+        rides = taken.rides
+        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops, any_lane=rides)
 
     def _take(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> _Taken:
         route = tuple(self._api.vehicle.getRoute(agent))
@@ -267,12 +293,16 @@ class Takeover:
         if stops:
             detail = "it has stops, so SUMO's vehicles see it on its own route alone"
             self._note(step, agent, "seen_on_route", detail)
+        rides = kind_of(str(self._api.vehicle.getVehicleClass(agent))) == "cyclist"
         self._hand_over.take(agent)
-        return _Taken(agent=agent, length_m=length_m, route=route, stops=stops, pose=pose)
+        return _Taken(
+            agent=agent, length_m=length_m, route=route, stops=stops, rides=rides, pose=pose
+        )
 
     def after_step(self) -> None:
         """Tell SUMO the speeds: else they would be those of jumps, cut to the vehicles' limits."""
         self._hand_over.after_step()
+        self.persons.after_step()
         there = self._api.vehicle.getIDList()
         for agent, taken in list(self._taken.items()):
             if agent in there:
@@ -282,12 +312,14 @@ class Takeover:
                 del self._taken[agent]  # if SUMO brings it back, it is somewhere else
 
     def drivable(self, agent: AgentId, occupancy: Occupancy) -> bool:
-        """Whether SUMO can drive a vehicle on from its pose without moving or turning it.
+        """Whether SUMO can drive a road user on from its pose without moving or turning it.
 
         Without its sublane model SUMO keeps a vehicle off-centre for ever, where it reaches into
         the next lane unseen, and stops it for good inside a junction under `lanechange.duration`.
         It may overlap the AV: SUMO separates the two.
         """
+        if agent_ids.person_of(agent) is not None:
+            return self.persons.drivable(agent)
         taken, vehicle = self._taken.get(agent), self._api.vehicle
         if taken is None or agent not in vehicle.getIDList():
             return True  # it is SUMO's already, or gone
@@ -316,13 +348,18 @@ class Takeover:
         for agent in [agent for agent in self._taken if agent in there]:
             self._hand_over.give_back(agent)
         self._taken.clear()
+        self.persons.forget()
 
     def hand_back(self, step: int, agent: AgentId) -> None:
-        """Let SUMO drive a vehicle from the coming step on: from where it is, if it is `drivable`.
+        """Let SUMO drive one from the coming step on: from where it is, if it is `drivable`.
 
         Off every lane SUMO drives nothing. There a vehicle is taken off the road if it ``leaves``;
-        else it is put on the nearest lane.
+        else it is put on the nearest lane. So is a person where there is no footway.
         """
+        self._step = step
+        if agent_ids.person_of(agent) is not None:
+            self.persons.hand_back(agent, leaves=self._leaves)
+            return
         taken = self._taken.pop(agent, None)
         if taken is None or not self._present(step, agent):
             return
@@ -355,8 +392,14 @@ class Takeover:
     def _note(self, step: int, agent: AgentId, kind: str, detail: str) -> None:
         self._events.append(Event(step=step, agent_id=agent, kind=kind, detail=detail))
 
+    def _note_now(self, agent: AgentId, kind: str, detail: str) -> None:
+        self._note(self._step, agent, kind, detail)
+
     def _present(self, step: int, agent: AgentId) -> bool:
-        present = agent in self._api.vehicle.getIDList()
+        if agent_ids.person_of(agent) is None:
+            present = agent in self._api.vehicle.getIDList()
+        else:
+            present = self.persons.present(agent)
         if not present and agent not in self._gone:
             self._gone.add(agent)
             self._note(step, agent, "opponent_gone", "left the traffic")
@@ -364,28 +407,47 @@ class Takeover:
 
 
 class SumoOwner:
-    """SUMO as the next owner of vehicles that were taken over; see `ownership.NextOwner`.
+    """SUMO as the next owner of those that were taken over; see `ownership.NextOwner`.
 
     Args:
-        takeover: of the vehicles.
+        takeover: of vehicles and persons.
         occupancy: the agents around a vehicle now.
     """
 
     def __init__(self, takeover: Takeover, occupancy: Callable[[AgentId], Occupancy]) -> None:
         self._takeover, self._occupancy = takeover, occupancy
 
-    def creep_mps(self, agent: AgentId) -> float:  # noqa: ARG002
-        """So slowly a vehicle turns onto a lane, where SUMO drives on."""
-        return CREEP_MPS
+    def creep_mps(self, agent: AgentId) -> float:
+        """So slowly a vehicle turns onto a lane, where SUMO drives on; a person walks."""
+        return CREEP_MPS if agent_ids.person_of(agent) is None else WALK_MPS
 
     def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:  # noqa: ARG002
         """Whether SUMO can drive the agent on from where it is."""
         return self._takeover.drivable(agent, self._occupancy(agent))
 
     def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
-        """Whether nothing is in the way of the agent."""
-        return self._occupancy(agent).clear(agent, poses)
+        """Whether nothing is in the way of the agent; people on foot make way for each other."""
+        occupancy = self._occupancy(agent)
+        if agent_ids.person_of(agent) is not None:
+            occupancy = occupancy.without_persons(agent)
+        return occupancy.clear(agent, poses)
 
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
         """Lanes of its class; those of its route before others."""
         return self._takeover.lane_cost(agent, lane_id)
+
+    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
+        """Of persons: to the nearest footway."""
+        return (
+            None if agent_ids.person_of(agent) is None else self._takeover.persons.walk(agent, pose)
+        )
+
+    def refusals(self, agents: Collection[AgentId]) -> dict[AgentId, str]:
+        """Persons that do not walk, and all of them where SUMO's model of persons ignores it."""
+        persons = self._takeover.persons
+        found = {
+            agent: persons.refusal(agent)
+            for agent in agents
+            if agent_ids.person_of(agent) is not None and persons.present(agent)
+        }
+        return {agent: reason for agent, reason in found.items() if reason}

@@ -13,6 +13,7 @@ import numpy as np
 from deepmf_sumo.scene import DT_S, Floats, Lane, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear, ground_of
+from deepmf_sumo.scene.geometry.lane_map import LaneMap
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
 from deepmf_sumo.sumo.simulation.frame import Pose
 
@@ -50,10 +51,19 @@ class WayOn:
         pose: where it is. z_m: its height there.
         creep_mps: speed at which it goes back to a lane; 0: it stops.
         cost: of lanes.
+        lanes: those of the road that it may be on.
     """
 
-    def __init__(self, road: RoadMap, pose: Pose, z_m: float, creep_mps: float, cost: Cost) -> None:
-        self._line = _line_ahead(road, pose, z_m, cost)
+    def __init__(
+        self,
+        road: RoadMap,
+        pose: Pose,
+        z_m: float,
+        creep_mps: float,
+        cost: Cost,
+        lanes: Callable[[RoadMap], LaneMap] = lanes_for_cars,
+    ) -> None:
+        self._line = _line_ahead(road, lanes(road), pose, z_m, cost)
         self._creep_mps = 0.0 if self._line is None else creep_mps
         self._pose = _signed(pose)
 
@@ -121,9 +131,8 @@ def _approached(speed_mps: float, target_mps: float, braking_mps2: float) -> flo
     return min(speed_mps + _STARTS_MPS2 * DT_S, target_mps)
 
 
-def _line_ahead(road: RoadMap, pose: Pose, z_m: float, cost: Cost) -> Floats | None:
+def _line_ahead(road: RoadMap, lanes: LaneMap, pose: Pose, z_m: float, cost: Cost) -> Floats | None:
     """(P, 2) centre line from the nearest lane on; None if no lane is near."""
-    lanes = lanes_for_cars(road)
     feet = lanes.feet(np.array([[pose.x_m, pose.y_m]]), _REACH_M)
     x, y = lanes.vector_m[feet.segment].T
     turned = np.abs(frames.difference(np.arctan2(y, x), pose.heading_rad))
