@@ -75,14 +75,18 @@ class Footways:
     def __init__(self, net: NetFile) -> None:
         walked = {lane.id: lane for one in net.edges.values() if (lane := _walked(one)) is not None}
         lanes = [(edge, lane) for edge in net.edges.values() for lane in edge.lanes if _long(lane)]
-        onto = _edges_behind(net)
-        on_foot = {edge_of(lane) for lane in walked}
+        beside = _edges_beside(net)
+        self._open = {edge_of(lane) for lane in walked}
         self._footways = _Lanes(list(walked.values()))
         self._crossings = _Lanes([one for edge, one in lanes if edge.function == "crossing"])
         self._corners = _Corners(net)
         self._roads = _Lanes([one for edge, one in lanes if not edge.function])
         self._junctions = _Lanes(
-            [one for edge, one in lanes if edge.function == "internal" and onto[one.id] <= on_foot]
+            [
+                one
+                for edge, one in lanes
+                if edge.function == "internal" and beside[one.id] <= self._open
+            ]
         )
 
     def lane_at(self, at_m: Floats, z_m: float) -> str:
@@ -90,13 +94,17 @@ class Footways:
 
         Cars of a lane see a person of that lane, those of all lanes one of a crossing. SUMO 1.28
         crashes where a person is put onto a walking area at which its way does not pass, and ends
-        where it is put onto a lane inside a junction behind which people may not walk.
+        where it is put onto a lane inside a junction before or behind which people may not walk.
         """
         at = np.asarray(at_m, float)
         found = self._crossings.under(at, z_m) or self._footways.under(at, z_m)
         if found is None and not self._corners.cover(at):
             found = self._roads.under(at, z_m) or self._junctions.under(at, z_m)
         return "" if found is None or _at_its_end(found, at) else found.id
+
+    def closed(self, lane: str) -> bool:
+        """Whether people may walk on no lane of a lane's edge; one inside a junction is none."""
+        return bool(lane) and not lane.startswith(":") and edge_of(lane) not in self._open
 
     def walked(self, at_m: Floats, z_m: float) -> str:
         """The footway of a point (2,), on which SUMO walks a person on; empty off all."""
@@ -160,8 +168,8 @@ def _inside(lane: NetLane) -> BaseGeometry | None:
     return shapely.buffer(middle, half_m, cap_style="flat", join_style="mitre")
 
 
-def _edges_behind(net: NetFile) -> dict[str, set[str]]:
-    """The edges to which each lane inside a junction leads."""
+def _edges_beside(net: NetFile) -> dict[str, set[str]]:
+    """The edges between which each lane inside a junction leads."""
     found: dict[str, set[str]] = {
         lane.id: set()
         for edge in net.edges.values()
@@ -170,7 +178,7 @@ def _edges_behind(net: NetFile) -> dict[str, set[str]]:
     for link in net.links:
         for lane in (link.via, link.origin):
             if lane in found:
-                found[lane].add(edge_of(link.target))
+                found[lane] |= {one for one in link.edges if not one.startswith(":")}
     return found
 
 

@@ -8,7 +8,7 @@ How SUMO 1.28 treats a person that a client moves (`docs/reference/moved-people.
   which one (`Footways.lane_at`).
 - Put onto a walking area off its way it crashes SUMO. There it belongs to no lane.
 - It changes the way of who is moved, and ends where that becomes none. So the way is a single edge
-  meanwhile, and a new one begins where it is before SUMO walks it on.
+  where people may not walk, and a new one begins where it is before SUMO walks it on.
 - SUMO walks on from a footway smoothly. From a walking area it may jump by metres, from a lane for
   cars it walks on along that lane. So it is handed back on footways alone.
 """
@@ -75,6 +75,9 @@ class PersonControl:
         self._api, self._footways_of, self._note = api, footways, note
         self._known: Footways | None = None
         self._persons: dict[AgentId, _Person] = {}
+        self._refused: set[AgentId] = set()
+        self._fresh: dict[AgentId, Pose] = {}
+        self._released: dict[AgentId, Pose] = {}
 
     @property
     def _footways(self) -> Footways:
@@ -103,58 +106,60 @@ class PersonControl:
         return name in person.getIDList() and on_foot(person.getVehicle(name))
 
     def placed(self) -> dict[AgentId, Pose]:
-        """Where those that are moved were put in the last step."""
-        return {agent: one.pose for agent, one in self._persons.items()}
+        """Where those that are moved were put in the last step, also to be walked on from there."""
+        return self._released | {agent: one.pose for agent, one in self._persons.items()}
 
     def place(self, agent: AgentId, pose: Pose, length_m: float) -> None:
         """Put a person that is present exactly at the pose at the end of the coming step."""
         if agent not in self._persons:
-            if self.refusal(agent):
+            if refusal := self.refusal(agent):
+                if agent not in self._refused:
+                    self._refused.add(agent)
+                    self._note(agent, "not_taken", refusal)
                 return
             self._persons[agent] = self._taken(agent, pose, length_m)
-            self._hold(agent)
-        one = self._persons[agent]
-        one.pose = pose
+        self._persons[agent].pose = pose
         self._put(agent, pose, length_m)
 
-    def _put(self, agent: AgentId, pose: Pose, length_m: float) -> None:
-        if len(self._api.person.getEdges(_name(agent))) > 1:
-            self._hold(agent)
-        self._set_down(agent, pose, length_m)
-
-    def _set_down(self, agent: AgentId, pose: Pose, length_m: float) -> None:
+    def _put(
+        self, agent: AgentId, pose: Pose, length_m: float, facing_deg: float | None = None
+    ) -> None:
         front, angle = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
         lane = self._footways.lane_at(front, self._height_m(agent))
+        if self._footways.closed(lane) and len(self._api.person.getEdges(_name(agent))) > 1:
+            self._hold(_name(agent), self._persons[agent].edges[0])
         x, y = float(front[0]), float(front[1])
         keep, match_m = _EXACT + SEEN_ON_ANY_LANE, _MATCH_M if lane else _MATCH_NOTHING_M
-        self._api.person.moveToXY(_name(agent), lane, x, y, float(angle), keep, match_m)
+        facing = float(angle) if facing_deg is None else facing_deg
+        self._api.person.moveToXY(_name(agent), lane, x, y, facing, keep, match_m)
 
     def _taken(self, agent: AgentId, pose: Pose, length_m: float) -> _Person:
         person, name = self._api.person, _name(agent)
-        walk = person.getStage(name)
-        if int(walk.type) == _WAITS:
+        stage = person.getStage(name)
+        edges = tuple(stage.edges) or (str(person.getRoadID(name)),)
+        if int(stage.type) == _WAITS:
             self._note(agent, "waiting_ended", "it does not wait on, and returns to where it was")
-        edges = tuple(walk.edges) or (str(person.getRoadID(name)),)
+            self._hold(name, edges[0])
         return _Person(
             length_m=length_m,
             pose=pose,
             edges=edges,
-            to_m=float(walk.arrivalPos),
-            to_stop=str(walk.destStop),
+            to_m=float(stage.arrivalPos),
+            to_stop=str(stage.destStop),
         )
 
-    def _hold(self, agent: AgentId) -> None:
-        """Let a person's way be a single edge as long as it is moved.
+    def _hold(self, name: str, home: str) -> None:
+        """Let a person's way be a single edge, on which people may walk.
 
-        SUMO replaces that edge by the one onto which it is moved. In a longer way it may replace
-        the next one, and ends where people may not walk there.
+        SUMO replaces an edge of the way by the one onto which it moves the person. In a longer way
+        that may be the next edge, and SUMO ends where people may not walk on that.
         """
-        home = self._persons[agent].edges[0]
         (stay,) = self._api.simulation.findIntermodalRoute(home, home)
-        self._replace_walk(_name(agent), stay, home, 0.0)
+        self._replace_walk(name, stay, home, 0.0)
 
     def after_step(self) -> None:
-        """Forget those that have gone."""
+        """Forget those that have gone, and those that SUMO has walked on."""
+        self._released, self._fresh = self._fresh, {}
         for agent in [one for one in self._persons if not self.present(one)]:
             del self._persons[agent]
 
@@ -194,7 +199,7 @@ class PersonControl:
         person, name = self._api.person, _name(agent)
         edge = edge_of(str(person.getLaneID(name)))
         detail = self._new_way(agent, one, edge, float(person.getLanePosition(name)))
-        self._set_down(agent, self._onward(one.pose), one.length_m)
+        self._let_go(agent, one, self._onward(one.pose))
         self._note(agent, "handed_back", detail)
 
     def _strand(self, agent: AgentId, one: _Person, *, leaves: bool) -> None:
@@ -209,8 +214,17 @@ class PersonControl:
             return
         detail = self._new_way(agent, one, found.edge, found.along_m)
         x, y = found.point_m.tolist()
-        self._set_down(agent, replace(one.pose, x_m=x, y_m=y), one.length_m)
+        self._let_go(agent, one, replace(one.pose, x_m=x, y_m=y))
         self._note(agent, "handed_back", f"put on the nearest footway; {detail}")
+
+    def _let_go(self, agent: AgentId, one: _Person, pose: Pose) -> None:
+        """Put a person at a pose for the last time.
+
+        It faces where its new walk leads: in a walk of one edge SUMO takes a person who faces back
+        for one that walks back, and has arrived.
+        """
+        self._fresh[agent] = pose
+        self._put(agent, pose, one.length_m, float(self._api.person.getAngle(_name(agent))))
 
     def _new_way(self, agent: AgentId, one: _Person, edge: str, along_m: float) -> str:
         """Let a person walk from a place on an edge: on along its way, or by another one.

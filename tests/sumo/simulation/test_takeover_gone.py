@@ -36,7 +36,7 @@ def sumo(there, options=None, classes=None):
         setSpeedMode=lambda *_: None,
         setPreviousSpeed=lambda *_: None,
         getLateralSpeed=lambda _: 0.0,
-        getVehicleClass=lambda agent: classes[agent],
+        getVehicleClass=lambda agent: (classes or {}).get(agent, "passenger"),
         setVehicleClass=lambda agent, name: classes.update({agent: name}),
     )
     simulation = SimpleNamespace(getOption=lambda name: (options or {}).get(name, "0"))
