@@ -1,6 +1,6 @@
 """A supporter on three lanes; all motions are written down, so that the choice is known by hand."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -214,26 +214,96 @@ def test_it_touches_neither_av_nor_attacker_nor_others():
         assert found.plan.position_m[:met, 1] == pytest.approx(LANE_M, abs=0.3)
 
 
+def first_meeting(mine, other):
+    meets = [a.intersection(b).area > 1e-6 for a, b in zip(mine, other, strict=True)]
+    return meets.index(True) if True in meets else None
+
+
+@pytest.mark.parametrize("what", ["av", "leader", "slow", "nobody", "beside the road"])
+def test_how_long_it_stays_clear_is_what_shapely_says(what):
+    """Of the AV only until that meets the attacker; of all within the margin, as it is tracked."""
+    scene = {**BESIDE, "slow": (20.0, 2 * LANE_M, 12.0)}
+    ways = {
+        "av": into(0.0, begin_s=1.0, seconds=2.0),
+        "leader": np.stack([np.minimum(-16.0 + 20.0 * STEPS, 60.0), 0.8 + 0 * STEPS], -1),
+        "slow": into(LANE_M + 1.7, begin_s=0.5, seconds=2.0),
+        "nobody": COMES_UP,
+        "beside the road": into(LANE_M + 5.0, begin_s=0.5, seconds=2.5),
+    }
+    if what == "leader":
+        scene["beside"] = (-16.0, 0.8, 20.0)
+        scene["av"] = (0.0, -LANE_M, AV_MPS)
+    given = attack(scene)
+    if what == "leader":  # the AV is not in the way
+        far = futures("av", along(0.0, -LANE_M, AV_MPS))
+        given = replace(given, reaction=Forecast(futures=far, probability=np.ones(1)))
+    moment = support._Moment(given, Written({"beside": [(1.0, ways[what])]}), 8)
+    offer = moment.offer("beside", None)
+    way = offer.own.forecast.futures
+    end = min(int(given.collision_step[0]) + 20, FUTURE_STEPS)
+    mine = boxes_of(way.position_m[0], way.heading_rad[0], margin=support.MARGIN_M)[:end]
+    met = int(given.collision_step[0]) + 1
+    others = {
+        "av": boxes_of(given.reaction.futures.position_m[0], np.zeros(FUTURE_STEPS))[:met],
+        "leader": boxes_of(given.plan.position_m, given.plan.heading_rad)[:end],
+        "slow": boxes_of(along(20.0, 2 * LANE_M, 12.0), np.zeros(FUTURE_STEPS))[:end],
+    }
+    first = {name: first_meeting(mine[: len(its)], its) for name, its in others.items()}
+    if what == "beside the road":
+        assert offer.clear_steps[0] == 0
+    elif what == "nobody":
+        assert set(first.values()) == {None}
+        assert offer.clear_steps[0] == FUTURE_STEPS
+    else:
+        assert first[what] == min(step for step in first.values() if step is not None)
+        assert offer.clear_steps[0] == first[what]
+
+
+def test_a_likelier_one_that_takes_less_is_worth_less():
+    a_bit = along(-16.0, LANE_M, AV_MPS, accel=0.5, until_s=2.0)
+    written = Written({"beside": [(0.5, FALLS_BACK), (0.26, a_bit), (0.24, COMES_UP)]})
+    found = asked(written=written)
+    assert found.support.probability == pytest.approx(0.24)
+    np.testing.assert_allclose(found.plan.position_m[:40], COMES_UP[:40], atol=1.0)
+
+
+def test_what_others_have_taken_already_counts_for_nobody():
+    row = {f"wall {x}": (float(x), LANE_M, AV_MPS) for x in (-8, -2, 4, 10, 16)}
+    alone, among = (
+        support._Moment(attack(scene), beside(), 8).offer("beside", None).taken["left"][1]
+        for scene in (BESIDE, {**BESIDE, **row})
+    )
+    assert alone > 0.5 > 2 * among
+
+
 def test_a_slow_one_ahead_of_it_keeps_it_from_coming_up():
     assert asked({**BESIDE, "slow": (14.0, LANE_M, 2.0)}).plan is None
 
 
-FOLLOWS = {**BESIDE, "beside": (-8.0, 0.0, AV_MPS)}
-
-
-def followers():
-    gives_way = stopping(-8.0, 0.0, AV_MPS, 4.0)
-    presses = along(-8.0, 0.0, AV_MPS)[:33], stopping(31.6, 0.0, AV_MPS, 5.0)[:47]
-    presses = np.concatenate(presses)
-    return Written({"beside": [(0.6, gives_way), (0.4, presses)]})
+def follows(x, keeps_s):
+    """One that follows ``x`` behind the AV: it gives way, or keeps its speed and brakes late."""
+    steps = round(keeps_s / DT_S)
+    late = stopping(x + AV_MPS * keeps_s, 0.0, AV_MPS, 5.0)[: FUTURE_STEPS - steps]
+    presses = np.concatenate([along(x, 0.0, AV_MPS)[:steps], late])
+    ways = Written({"beside": [(0.6, stopping(x, 0.0, AV_MPS, 4.0)), (0.4, presses)]})
+    return {**BESIDE, "beside": (x, 0.0, AV_MPS)}, ways
 
 
 def test_who_would_leave_no_reference_driver_a_way_out_does_not_support(monkeypatch):
     """All reference drivers brake; one that presses from behind drives into each of them."""
-    assert asked(FOLLOWS, followers()).plan is None
+    assert asked(*follows(-8.0, 3.3)).plan is None
     everybody = lambda self, situation, own: np.ones(len(own.origin), bool)  # noqa: E731
     monkeypatch.setattr(support._Moment, "_fair", everybody)
-    found = asked(FOLLOWS, followers())
+    found = asked(*follows(-8.0, 3.3))
+    assert found.plan.agent_id == "beside"
+    assert found.support.ways["brake"] > 0.2
+
+
+def test_one_reference_driver_that_is_left_is_enough():
+    """From 12 m behind it meets only the one that brakes later and harder."""
+    given = attack(BESIDE)
+    assert len(support._Moment(given, beside(), 8).drivers) == 2
+    found = asked(*follows(-12.0, 3.0))
     assert found.plan.agent_id == "beside"
     assert found.support.ways["brake"] > 0.2
 

@@ -8,12 +8,12 @@ import pytest
 from deepmf_sumo.judge.avoidability import av_path, grading, reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import counterfactual
-from deepmf_sumo.judge.avoidability.encounter import AFTER_S, encounter_of
-from deepmf_sumo.scene import Scene, readers
+from deepmf_sumo.judge.avoidability.encounter import AFTER_S, encounter_of, third_parties_of
+from deepmf_sumo.scene import Plan, Scene, readers
 from deepmf_sumo.scene.geometry import polylines
 
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from tests.support.rollout_doubles import straight
+from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
 
 
 class Unaware:
@@ -186,3 +186,21 @@ def test_the_way_ahead_of_a_recorded_av_is_the_one_it_took(womd):
 def _moves(scene):
     path = scene.tracks.position_m[scene.tracks.row(scene.av_id)]
     return np.hypot(*(path[-1] - path[10])) > 30
+
+
+def test_a_supporter_does_not_jump_back_into_the_recording():
+    """It left its recorded path for the attack; when the rollout ends it keeps its velocity."""
+    recorded = {"av": straight(0, 0, 10), "b": straight(30, 0, 10), "s": straight(0, 3.5, 10)}
+    case = case_of(recorded)
+    driven = {name: path[:31] for name, path in recorded.items()}
+    driven["s"] = straight(0, 3.5, 10, accel=3.0)[:31]
+    plan = Plan(
+        agent_id="s", first_step=11, position_m=driven["s"][11:, :2],
+        heading_rad=driven["s"][11:, 2], speed_mps=np.zeros(20), supports="b",
+    )  # fmt: skip
+    for plans, goes_on_m in (([], 21.0), ([plan], 26.0 + 0.1 * 15.85)):
+        rollout = rollout_of(driven, [contact_of(step=30)], plans=plans)
+        others = third_parties_of(rollout, case, 10, 40, ["s"])
+        assert others.position_m.shape == (1, 40, 2)
+        assert others.position_m[0, 20, 0] == pytest.approx(26.0)
+        assert others.position_m[0, 21, 0] == pytest.approx(goes_on_m)

@@ -6,7 +6,7 @@ import pytest
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import replay
 from deepmf_sumo.results import artifacts, tracks
-from deepmf_sumo.scene import HISTORY_STEPS, Driver, Plan, TurnRules, View
+from deepmf_sumo.scene import HISTORY_STEPS, Driver, Plan, Turn, TurnRules, View
 from deepmf_sumo.scene.policy import planned
 from deepmf_sumo.sumo.simulation import simulate
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
@@ -15,6 +15,7 @@ from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 
 from tests.support.owners import Owner
 from tests.support.predictor_doubles import straight_road, straight_tracks
+from tests.support.rollout_doubles import contact_of, rollout_of, straight
 from tests.support.simulated_worlds import (
     LANE_M,
     case_of,
@@ -95,6 +96,19 @@ def test_a_supporter_is_handed_back_when_the_attack_is_over():
     assert (schedule.attackers, schedule.supporters) == ((), ())
     assert schedule.leaving
     assert [turn.opponent_id for turn in schedule.closed] == ["a"]
+    assert schedule.advance(NOW + 14).keys() == {"a", "b"}  # on their way to their next owner
+
+
+def test_a_turn_has_the_supporters_of_its_attacker_alone():
+    paths = {name: straight(x, y, v) for name, (x, y, _, v) in AROUND.items()}
+    plans = [plan("a"), plan("b", supports="a"), plan("c", supports="other")]
+    met = [contact_of("supporter_other", step=20, first=one, second="x") for one in ("b", "c")]
+    whole = rollout_of(paths, met, opponent_id="a", plans=plans)
+    turn = Turn(opponent_id="a", first_step=NOW, last_step=40, ended="time", gap_m=1.0)
+    part = whole.of_turn(turn)
+    assert part.supporters == whole.supporters == ("b",)
+    assert part.roles == {"av": "av", "a": "opponent", "b": "supporter"}
+    assert [one.first_id for one in part.contacts] == ["b"]
 
 
 @pytest.mark.parametrize(
@@ -158,6 +172,7 @@ def case(tmp_path_factory):
         "a": straight_motion(80.0, 0.0, 0.0, 9.0),
         "b": straight_motion(52.0, LANE_M, 0.0, 9.0),
         "c": straight_motion(62.0, LANE_M, 0.0, 9.0),
+        "d": straight_motion(47.0, LANE_M, 0.0, 9.9),  # in the recording it runs into b
     }
     return case_of(scene_of(simulated_road(), motions), tmp_path_factory.mktemp("supporters"))
 
