@@ -241,7 +241,7 @@ def test_how_long_it_stays_clear_is_what_shapely_says(what):
     offer = moment.offer("beside", None)
     way = offer.own.forecast.futures
     end = min(int(given.collision_step[0]) + 20, FUTURE_STEPS)
-    mine = boxes_of(way.position_m[0], way.heading_rad[0], margin=support.MARGIN_M)[:end]
+    mine = boxes_of(way.position_m[0], way.heading_rad[0], margin=0.25)[:end]
     met = int(given.collision_step[0]) + 1
     others = {
         "av": boxes_of(given.reaction.futures.position_m[0], np.zeros(FUTURE_STEPS))[:met],
@@ -300,10 +300,10 @@ def test_who_would_leave_no_reference_driver_a_way_out_does_not_support(monkeypa
 
 
 def test_one_reference_driver_that_is_left_is_enough():
-    """From 12 m behind it meets only the one that brakes later and harder."""
+    """From 11 m behind it meets only the one that brakes later and harder."""
     given = attack(BESIDE)
     assert len(support._Moment(given, beside(), 8).drivers) == 2
-    found = asked(*follows(-12.0, 3.0))
+    found = asked(*follows(-11.0, 3.0))
     assert found.plan.agent_id == "beside"
     assert found.support.ways["brake"] > 0.2
 

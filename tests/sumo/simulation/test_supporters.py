@@ -172,7 +172,7 @@ def case(tmp_path_factory):
         "a": straight_motion(80.0, 0.0, 0.0, 9.0),
         "b": straight_motion(52.0, LANE_M, 0.0, 9.0),
         "c": straight_motion(62.0, LANE_M, 0.0, 9.0),
-        "d": straight_motion(47.0, LANE_M, 0.0, 9.9),  # in the recording it runs into b
+        "d": straight_motion(47.0, LANE_M, 0.0, 9.7),  # in the recording it runs into b
     }
     return case_of(scene_of(simulated_road(), motions), tmp_path_factory.mktemp("supporters"))
 
@@ -188,6 +188,9 @@ def test_without_sumo_a_supporter_does_to_the_bit_what_it_does_with_it(case, tmp
     assert one.tracks.position_m.tobytes() == other.tracks.position_m.tobytes()
     assert one.driver.tobytes() == other.driver.tobytes()
     assert repr(one.contacts) == repr(other.contacts)
+    of_b, of_b_in_sumo = ([e for e in made.events if e.agent_id == "b"] for made in (one, other))
+    assert of_b == of_b_in_sumo
+    assert "overlap_at_start" in {event.kind for event in of_b}
     assert (
         (one.supporters, one.attackers) == (other.supporters, other.attackers) == (("b",), ("a",))
     )
