@@ -43,7 +43,8 @@ from deepmf_sumo.judge.avoidability.encounter import (
     third_parties_of,
 )
 from deepmf_sumo.judge.avoidability.grading import Judgement, evasive_manoeuvres
-from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S, MODELS
+from deepmf_sumo.judge.avoidability.intention import is_person, models_for
+from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
@@ -327,20 +328,27 @@ def _lane(episode: Episode, encounter: Encounter) -> AvPath:
 
 
 def last_moments_s(episode: Episode, encounter: Encounter) -> dict[str, float | None]:
-    """For each reference driver and the search: the last moment to take over, before the hit."""
-    starts = np.arange(encounter.contact)
+    """For each reference driver and the search: the last moment to take over, before the hit.
+
+    None where there is none; nobody takes over for a person before the onset.
+    """
+    tracks, starts = episode.rollout.tracks, np.arange(encounter.contact)
+    opponent = tracks.row(encounter.opponent_id)
+    models, person = models_for(tracks, opponent), is_person(tracks, opponent)
     approach = encounter.approach.among(np.zeros(len(starts), np.int64))
     outcome = reference_drivers.outcome(
-        list(MODELS.values()), encounter.path, approach, encounter.av_along_m, starts
+        list(models.values()), encounter.path, approach, encounter.av_along_m, starts
     )
+    able = outcome.avoided | outcome.standing if person else outcome.avoided
     last = {
         name: starts[avoided][-1] if avoided.any() else None
-        for name, avoided in zip(MODELS, outcome.avoided, strict=True)
+        for name, avoided in zip(models, able, strict=True)
     }
     last["search"] = _last_evasion(episode, encounter)
     dt_s, hit = episode.rollout.dt_s, encounter.contact
+    earliest = encounter.onset if person else 0
     return {
-        name: None if step is None else round((hit - int(step)) * dt_s, 3)
+        name: None if step is None or step < earliest else round((hit - int(step)) * dt_s, 3)
         for name, step in last.items()
     }
 

@@ -10,9 +10,12 @@ from typing import Final, Literal
 
 import numpy as np
 
+from deepmf_sumo.judge import crossings
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_of
+from deepmf_sumo.judge.avoidability.intention import is_person
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
+from deepmf_sumo.judge.crossings import JUNCTION_M
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
 from deepmf_sumo.scene import RoadMap, Rollout, Tracks
@@ -116,13 +119,19 @@ def described(
         raise ValueError("the opponent did not hit the AV")
     tracks = rollout.tracks
     meeting = Meeting.of(tracks, (contact.first_id, contact.second_id), contact.step, road)
+    kind = tracks.kinds[meeting.other]
     onset = first = max(begin, meeting.since)
     if first < contact.step:
-        onset = onset_of(rollout, alone, meeting.other, first, contact.step)
+        onset = onset_of(rollout, alone, meeting.other, first, contact.step, road)
     turned = meeting.turned()
-    strayed = meeting.type in _ON_LANES and meeting.strayed()
+    by_foot, person = kind == "pedestrian", is_person(tracks, meeting.other)
+    ran_red = ran_red and not by_foot
+    strayed = not by_foot and meeting.type in _ON_LANES and meeting.strayed()
     judged = not strayed or ran_red
     priority = _priority(rollout, meeting, turned, ran_red=ran_red) if judged else ""
+    if person and road is not None and not ran_red:
+        first_goes = crossings.priority(rollout, road, meeting)
+        priority = priority if first_goes is None else first_goes
     late, braking_mps2 = _braking(tracks, meeting.av, onset, contact.step, rollout.dt_s)
     return Hit(
         meeting=meeting,
@@ -137,7 +146,7 @@ def described(
         braking_mps2=braking_mps2,
         onset_s=round((contact.step - onset) * rollout.dt_s, 3),
         delta_v_mps=contact.delta_v_mps,
-        opponent=road_user(tracks.kinds[meeting.other], tracks.size_m[meeting.other]).noun,
+        opponent=road_user(kind, tracks.size_m[meeting.other]).noun,
         ran_red=ran_red,
         stood=bool(tracks.speed_mps[meeting.other, max(contact.step - 1, 0)] <= STANDING_MPS),
     )
@@ -230,8 +239,6 @@ def _priority(rollout: Rollout, meeting: Meeting, turned: Who, *, ran_red: bool)
     return _by_map(meeting) if kind != "head-on" else ""
 
 
-JUNCTION_M: Final = 50.0
-"""From the contact to the stop lines of its junction, at most."""
 _AT_LIGHTS: Final = {"crossing", "merging", *ACROSS}
 
 

@@ -4,7 +4,7 @@ At the end of the step a fast AV may be half through a crossing car, or beyond a
 is looked at in parts, in which both move steadily.
 """
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from deepmf_sumo.scene.road_users import road_user
 _BUMPER_M: Final = 0.1
 _PARTS_LEFT: Final = np.linspace(0.95, 0.0, 20)
 """Of the step: at 40 m/s 0.2 m from one to the next."""
+
+
+Face = Literal["front", "left", "right", "rear"]
 
 
 class FrontTouch(NamedTuple):
@@ -30,10 +33,24 @@ class Touch(NamedTuple):
     Attributes:
         bearing_rad: where the other's centre is when they first overlap, from the AV's heading.
         front: both when the AV's front bumper first reaches the other; None if it never does.
+        face: of the AV's box that the other touches first.
+        own_mps: speed at which the AV's face moved towards the other there. their_mps: at which the
+            other moved towards that face.
     """
 
     bearing_rad: float
     front: FrontTouch | None
+    face: Face
+    own_mps: float
+    their_mps: float
+
+    @property
+    def ran_into(self) -> Face | None:
+        """The face other than the front that the other ran into; None if the AV hit the other.
+
+        A side strikes where it sweeps outwards faster than the other comes: in a turn.
+        """
+        return self.face if self.front is None and self.their_mps > self.own_mps else None
 
 
 def first_touch(rollout: Rollout, contact: Contact) -> Touch:
@@ -47,7 +64,27 @@ def first_touch(rollout: Rollout, contact: Contact) -> Touch:
     front = boxes.overlap(*_bumper(pose, size_m), *their_box)
     reached = int(front.argmax())
     at_front = FrontTouch(pose[reached], others[reached]) if front.any() else None
-    return Touch(float(bearing), at_front)
+    seconds = (1.0 - _PARTS_LEFT[0]) * rollout.dt_s * (len(_PARTS_LEFT) - 1)
+    face, out = _face(pose[touch], others[touch], size_m)
+    if at_front is not None:
+        face, out = "front", np.array([1.0, 0.0])
+    place = frames.to_local(others[touch, :2], pose[touch, :2], float(pose[touch, 2]))
+    place = np.clip(place, -size_m / 2, size_m / 2)
+    normal = frames.rotate(out, float(pose[touch, 2]))
+    begin, end = (frames.to_scene(place, one[:2], float(one[2])) for one in pose[[0, -1]])
+    theirs = others[-1, :2] - others[0, :2]
+    return Touch(
+        float(bearing), at_front, face, float((end - begin) @ normal) / seconds,
+        -float(theirs @ normal) / seconds,
+    )  # fmt: skip
+
+
+def _face(pose: Floats, other: Floats, size_m: Floats) -> tuple[Face, Floats]:
+    """The side or the rear of an AV at a pose (3) where another is, and its outward normal (2)."""
+    x, y = frames.to_local(other[:2], pose[:2], float(pose[2]))
+    if -x - size_m[0] / 2 > abs(y) - size_m[1] / 2:
+        return "rear", np.array([-1.0, 0.0])
+    return ("left", np.array([0.0, 1.0])) if y > 0 else ("right", np.array([0.0, -1.0]))
 
 
 def share_of_front(rollout: Rollout, contact: Contact) -> float | None:

@@ -9,6 +9,9 @@
 - **C**, contrived: it says little about the AV, see `_contrived`.
 - **D**, unavoidable: no reference driver avoids it. The search may, which knows what is to come.
 
+Hits by pedestrians and cyclists have rules of their own where those of vehicles make no sense, see
+`people`.
+
 C comes first: an error of the AV in a contrived hit is not a finding. All that a rung is made of is
 driven motion and the map; which method attacked has no influence. The rules were compared with what
 two readers said of 62 hits by eye (`studies/notebook/findings.md`).
@@ -20,9 +23,12 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from deepmf_sumo.judge import people
 from deepmf_sumo.judge.accident_types import CUT_IN_S
+from deepmf_sumo.judge.avoidability.intention import is_person
 from deepmf_sumo.judge.conflict_types import Meeting
-from deepmf_sumo.judge.hits import JUNCTION_M, Hit, hit_of
+from deepmf_sumo.judge.crossings import JUNCTION_M
+from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.collision import collision_clean
@@ -34,8 +40,9 @@ from deepmf_sumo.scene.signals import FORBIDS
 Rung = Literal["A", "B", "C", "D"]
 RUNGS: Final[tuple[Rung, ...]] = get_args(Rung)
 FINDINGS: Final[frozenset[Rung]] = frozenset({"A", "B"})
-DRIVERS: Final = ("cc", "fsm", "rss", "search")
-"""What may avoid a hit: three models of drivers, and about a hundred manoeuvres."""
+DRIVERS: Final = ("cc", "fsm", "rss", "vru", "search")
+"""What may avoid a hit: three models of drivers, of hits by people one of their own (``vru``), and
+about a hundred manoeuvres."""
 
 WALKING_MPS: Final = 1.4
 """An AV that is slower creeps."""
@@ -87,9 +94,11 @@ def verdict(episode: Episode) -> Verdict | None:
         return None
     judged = judgement(episode)
     able = {**judged.avoided_by, "search": judged.manoeuvres > 0}
-    avoided_by = tuple(name for name in DRIVERS if able[name])
+    avoided_by = tuple(name for name in DRIVERS if able.get(name))
     contrived = tuple(_contrived(episode, hit))
     av = _av_error(episode, hit)
+    if av == "took_crossing" and not judged.avoidable:
+        av = ""  # nobody gives way to whom nobody could see
     # what it did before it stood for long enough to be seen does not matter
     opponent = "" if av == "struck_standing" else _opponent_error(episode, hit)
     rung: Rung
@@ -120,17 +129,22 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
       lane can meet an AV head-on anywhere.
     - Nothing with wheels moves as the opponent did.
     - The AV or the opponent had touched another road user before.
+
+    For people see `people.contrived`, in place of the second to fourth of these.
     - A supporter touched anybody: it was to take ways out from the AV by its place alone.
     """
     rollout, meeting = episode.rollout, hit.meeting
     last = _speeds(rollout, meeting.av, meeting.step, LAST_S)
     if last.max() < WALKING_MPS or last.mean() * LAST_S < LEAST_M:
         yield "av_stood"
-    if hit.delta_v_mps < LEAST_DELTA_V_MPS:
-        yield "low_delta_v"
-    if _rams(episode.rollout, hit):
-        yield "rammed"
-    yield from _astray(episode)
+    if is_person(rollout.tracks, meeting.other):
+        yield from people.contrived(episode, hit)
+    else:
+        if hit.delta_v_mps < LEAST_DELTA_V_MPS:
+            yield "low_delta_v"
+        if _rams(episode.rollout, hit):
+            yield "rammed"
+        yield from _astray(episode)
     try:
         if not feasible.compute(episode):
             yield "infeasible"
@@ -171,16 +185,25 @@ def _astray(episode: Episode) -> Iterator[str]:
 def _av_error(episode: Episode, hit: Hit) -> str:
     """What the AV did wrong; empty where nothing is known."""
     rollout, meeting = episode.rollout, hit.meeting
-    if _stood(rollout, meeting):
+    person = is_person(rollout.tracks, meeting.other)
+    if _stood(rollout, meeting) and (
+        not person
+        or people.stood(episode, meeting, _last(rollout, meeting.other, meeting.step, STOOD_S))
+    ):
         return "struck_standing"
     if _ran_light(rollout, meeting):
         return "ran_light"
+    error = people.av_error(episode, hit) if person else None
+    return _av_error_by_conflict(hit) if error is None else error
+
+
+def _av_error_by_conflict(hit: Hit) -> str:
     if hit.conflict == "rear-end":
         return "struck_ahead" if hit.turned == "opponent" else ""
     if hit.conflict == "lane change":
         return "moved_over" if hit.turned == "AV" else ""
     if hit.conflict == "head-on":
-        return "left_lane" if meeting.strayed(0) else ""
+        return "left_lane" if hit.meeting.strayed(0) else ""
     return "took_priority" if hit.priority == "opponent" or hit.av_crosses else ""
 
 
@@ -206,6 +229,12 @@ def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:
 
 def _opponent_error(episode: Episode, hit: Hit) -> str:
     """What the opponent did wrong; empty where nothing is known."""
+    person = is_person(episode.rollout.tracks, hit.meeting.other)
+    error = people.opponent_error(episode, hit) if person else None
+    return _opponent_error_by_conflict(episode, hit) if error is None else error
+
+
+def _opponent_error_by_conflict(episode: Episode, hit: Hit) -> str:
     if hit.ran_red:
         return "ran_light"
     if hit.strayed:

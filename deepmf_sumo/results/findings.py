@@ -29,7 +29,8 @@ MEANINGS: Final[Mapping[Rung, str]] = {
 }
 DRIVERS: Final[Mapping[str, str]] = {
     "cc": "a careful driver", "fsm": "the fuzzy safety model",
-    "rss": "a driver that brakes as RSS requires", "search": "braking or steering immediately",
+    "rss": "a driver that brakes as RSS requires",
+    "vru": "a driver who brakes for people", "search": "braking or steering immediately",
 }  # fmt: skip
 """What avoids a hit, by its name in metrics (``avoided_by_cc``) and verdicts."""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from deepmf_sumo.judge.avoidability.av_path import AvPath, route_ahead
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
+from deepmf_sumo.judge.avoidability.intention import is_person, shown_since
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach
 from deepmf_sumo.scene import (
     AgentId,
@@ -22,6 +23,7 @@ from deepmf_sumo.scene import (
     Floats,
     Ints,
     RecordedCase,
+    RoadMap,
     Rollout,
     Tracks,
 )
@@ -47,6 +49,7 @@ class Encounter:
         first_step: step of the rollout that is step 0 of the encounter.
         onset: step of the encounter from which the AV may react.
         contact: step of the encounter at which they touch.
+        opponent_id: the other.
     """
 
     path: AvPath
@@ -55,6 +58,7 @@ class Encounter:
     first_step: int
     onset: int
     contact: int
+    opponent_id: AgentId
 
 
 def encounter_of(rollout: Rollout, case: Case) -> Encounter | None:
@@ -87,6 +91,7 @@ def encounter_of(rollout: Rollout, case: Case) -> Encounter | None:
         first_step=first,
         onset=onset_step(rollout, case, opponent, first, hit.step) - first,
         contact=hit.step - first,
+        opponent_id=rollout.opponent_id,
     )
 
 
@@ -129,23 +134,32 @@ def onset_step(rollout: Rollout, case: Case, opponent: int, first: int, contact:
     """First step of first..contact - 1 with a sign of the attack; ``first`` without a sign.
 
     A sign is that the opponent is more than 0.5 m from its position without the attack
-    (`counterfactual`), or that the two would collide within 3 s at constant velocities.
+    (`counterfactual`), or that the two would collide within 3 s at constant velocities. Of a
+    pedestrian or cyclist it is not before the driver understands it (`intention.shown_since`): at
+    the latest at the contact.
     """
     alone = counterfactual(rollout, case, rollout.tracks.ids[opponent])
-    return onset_of(rollout, alone, opponent, first, contact)
+    return onset_of(rollout, alone, opponent, first, contact, case.road)
 
 
 def onset_of(
-    rollout: Rollout, alone: Counterfactual | None, opponent: int, first: int, contact: int
-) -> int:
-    """As `onset_step`, where it is known already where the opponent would have been."""
+    rollout: Rollout, alone: Counterfactual | None, opponent: int, first: int, contact: int,
+    road_map: RoadMap | None = None,
+) -> int:  # fmt: skip
+    """As `onset_step`, where it is known already where the opponent would have been.
+
+    ``road_map``: None where it is not known.
+    """
     steps = np.arange(first, contact)
     departed = np.zeros(len(steps), bool)
     if alone is not None:
         where = rollout.tracks.position_m[opponent, first:contact]
         departed = alone.away_m(where, first) > DEPARTURE_M
     signs = np.flatnonzero(departed | _on_course(rollout, opponent, steps))
-    return int(steps[signs[0]]) if len(signs) else first
+    sign = int(steps[signs[0]]) if len(signs) else first
+    if not is_person(rollout.tracks, opponent):
+        return sign
+    return max(sign, shown_since(rollout, road_map, opponent, first, contact))
 
 
 class MovingVehicle(NamedTuple):

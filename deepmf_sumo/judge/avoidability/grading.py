@@ -13,6 +13,7 @@ the AV could have avoided it. A vehicle stands at less than 0.1 m/s (nuPlan: 0.0
 velocities of standing vehicles exceed).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, get_args
 
@@ -30,16 +31,18 @@ from deepmf_sumo.judge.avoidability.encounter import (
     on_collision_course,
     third_parties_of,
 )
-from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach
+from deepmf_sumo.judge.avoidability.intention import MODELS_FOR_PEOPLE, is_person, models_for
+from deepmf_sumo.judge.avoidability.reference_drivers import MODELS, Approach, DriverModel
 from deepmf_sumo.scene import Bools, Case, Contact, Floats, Ints, Rollout
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 Grade = Literal["no driver", "emergency manoeuvre", "some drivers", "all drivers"]
 GRADES: Final[tuple[Grade, ...]] = get_args(Grade)
 """What avoids a contact: nothing; a manoeuvre, but no driver; at least one driver; each of them."""
-By = Literal["any", "all", "cc", "fsm", "rss"]
+By = Literal["any", "all", "cc", "fsm", "rss", "vru"]
 Collision = Literal["av_stopped", "other_stopped", "active_rear", "active_front", "active_lateral"]
 BEHIND_RAD: Final = np.radians(30)
+_EVERY: Final = {**MODELS, **MODELS_FOR_PEOPLE}
 _QUICKEST: Final = ("cc", "rss", "fsm")
 """The drivers by the time that their decisions take to compute."""
 
@@ -49,7 +52,9 @@ class Judgement:
     """The drivers and manoeuvres that would have avoided a contact.
 
     Attributes:
-        avoided_by: name of each of `reference_drivers.MODELS` -> whether that driver avoids it.
+        avoided_by: name of each reference driver -> whether that driver avoids it: those of
+            `reference_drivers.MODELS`, of a pedestrian or cyclist the one of
+            `intention.MODELS_FOR_PEOPLE`, to whom one who has stopped counts, too.
         standing: the same -> whether the opponent hits that driver's car after it has stopped.
         manoeuvres: number of `manoeuvres.GRID` that avoid it, started at the onset.
         onset_step: of the rollout.
@@ -90,37 +95,44 @@ def judge(rollout: Rollout, case: Case) -> Judgement | None:
     encounter = encounter_of(rollout, case)
     if encounter is None:
         return None
+    opponent = rollout.tracks.row(encounter.opponent_id)
+    models = models_for(rollout.tracks, opponent)
     outcome = reference_drivers.outcome(
-        list(MODELS.values()),
+        list(models.values()),
         encounter.path,
         encounter.approach,
         encounter.av_along_m,
         encounter.onset,
     )
-    avoided = outcome.avoided[:, 0] & ~_hits_supporter(encounter, rollout, case)
+    avoided, standing = outcome.avoided[:, 0], outcome.standing[:, 0]
+    if is_person(rollout.tracks, opponent):  # nobody was hit by a car that stood
+        avoided = avoided | standing
+    avoided &= ~_hits_supporter(encounter, rollout, case, list(models.values()))
     return Judgement(
-        avoided_by={name: bool(avoided[d]) for d, name in enumerate(MODELS)},
-        standing={name: bool(outcome.standing[d, 0]) for d, name in enumerate(MODELS)},
+        avoided_by={name: bool(avoided[d]) for d, name in enumerate(models)},
+        standing={name: bool(standing[d]) for d, name in enumerate(models)},
         manoeuvres=int(evasive_manoeuvres(encounter, rollout, case).sum()),
         onset_step=encounter.first_step + encounter.onset,
     )
 
 
-def _hits_supporter(encounter: Encounter, rollout: Rollout, case: Case) -> Bools:
-    """(D) whether each driver of `MODELS` touches a supporter of the attack instead.
+def _hits_supporter(
+    encounter: Encounter, rollout: Rollout, case: Case, models: Sequence[DriverModel]
+) -> Bools:
+    """(D) whether each of D drivers touches a supporter of the attack instead.
 
     Drivers know nothing of third parties, and brake; these vehicles were put in their way, or
     behind them.
     """
     if not rollout.supporters:
-        return np.zeros(len(MODELS), bool)
+        return np.zeros(len(models), bool)
     along = reference_drivers.drive(
-        list(MODELS.values()), encounter.approach, encounter.av_along_m, encounter.onset
+        models, encounter.approach, encounter.av_along_m, encounter.onset
     )
     centre_m, heading = encounter.path.at(along[:, 0, encounter.onset :])
     first = encounter.first_step + encounter.onset
     others = third_parties_of(rollout, case, first, centre_m.shape[1], rollout.supporters)
-    stays = np.zeros(len(MODELS), bool)
+    stays = np.zeros(len(models), bool)
     return hit_by(centre_m, heading, others, encounter.approach.av_size_m, stays)
 
 
@@ -185,7 +197,7 @@ def avoidable(
         opponent_heading_rad: (N, K).
         dt_s: of a step.
         by: the driver that has to avoid contact: one of `reference_drivers.MODELS`, ``any`` of them
-            or ``all``.
+            or ``all``; or ``vru``, which is for pedestrians and cyclists.
         av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
             reacts, if it does not keep its speed.
         past: what both did before; the driver takes over at its first step, not now.
@@ -215,7 +227,8 @@ def avoidable(
         open_ = np.flatnonzero(avoided == (by == "all"))  # the others are decided
         if len(open_):
             those = approach.among(open_), driven_m, start[open_]
-            avoided[open_] = reference_drivers.outcome([MODELS[name]], path, *those).avoided[0]
+            found = reference_drivers.outcome([_EVERY[name]], path, *those)
+            avoided[open_] = found.avoided[0] | (found.standing[0] & (name in MODELS_FOR_PEOPLE))
     return avoided
 
 

@@ -20,7 +20,8 @@ def judgement(episode: Episode) -> grading.Judgement:
 @metric("1", better="higher")
 def avoidable(episode: Episode) -> float:
     """Of contacts: 1 if at least one of the reference drivers (UN R157 competent and careful, fuzzy
-    safety model, RSS braking) in the place of the AV avoids the same opponent trajectory, else 0.
+    safety model, RSS braking; with people a driver of their own) in the place of the AV avoids the
+    same opponent trajectory, else 0.
     """
     return judgement(episode).avoidable
 
@@ -54,7 +55,7 @@ def avoided_by_cc(episode: Episode) -> float:
     """Of contacts: 1 if the competent and careful driver of UN R157, in the place of the AV and on
     its path, avoids the same opponent trajectory, else 0.
     """
-    return judgement(episode).avoided_by["cc"]
+    return _avoided_by(episode, "cc")
 
 
 @metric("1", better="higher")
@@ -62,7 +63,7 @@ def avoided_by_fsm(episode: Episode) -> float:
     """Of contacts: 1 if the fuzzy safety model of UN R157, in the place of the AV and on its path,
     avoids the same opponent trajectory, else 0.
     """
-    return judgement(episode).avoided_by["fsm"]
+    return _avoided_by(episode, "fsm")
 
 
 @metric("1", better="higher")
@@ -70,7 +71,24 @@ def avoided_by_rss(episode: Episode) -> float:
     """Of contacts: 1 if a driver that brakes as RSS requires, in the place of the AV and on its
     path, avoids the same opponent trajectory, else 0.
     """
-    return judgement(episode).avoided_by["rss"]
+    return _avoided_by(episode, "rss")
+
+
+@metric("1", better="higher")
+def avoided_by_vru(episode: Episode) -> float:
+    """Of contacts with a pedestrian or cyclist: 1 if a driver who brakes fully 0.75 s after the
+    person was in sight and entered the road, or moved towards it faster than people walk, avoids
+    the same trajectory of the person in the place of the AV, or stands before the contact, else 0.
+    """
+    return _avoided_by(episode, "vru")
+
+
+def _avoided_by(episode: Episode, driver: str) -> bool:
+    known = judgement(episode).avoided_by
+    if driver not in known:
+        who = "people" if driver == "vru" else "vehicles"
+        raise NotMeasurable(f"this driver judges only hits by {who}")
+    return known[driver]
 
 
 @metric("1", better="higher")
