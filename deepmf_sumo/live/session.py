@@ -358,8 +358,8 @@ class Session:
         if fired is None:
             return
         self._next_s = self.time_s + _AGAIN_S
-        if len(latest.vehicles) < 2:
-            self.last_failure = "no vehicle is near the AV"
+        if len(latest.all()) < 2:
+            self.last_failure = "nobody is near the AV"
             return
         try:
             attack = Engagement(

@@ -301,7 +301,7 @@ def test_an_av_on_its_own_is_left_in_peace(folder, sumo):
     api.vehicle.remove("leader")
     session, _ = session_on(api, folder, policy)
     step(api, session, 20)
-    assert session.last_failure == "no vehicle is near the AV"
+    assert session.last_failure == "nobody is near the AV"
     assert policy.views == []
 
 
