@@ -15,9 +15,10 @@ candidates S chooses it:
   support.
 - **Within its own prior**: modes of its predictor, driven within the limits of motion, with at
   least `WITHIN` of the probability of the likeliest.
-- **It touches nobody**: with a margin neither the attacker, nor any other road user, nor the AV in
-  any of its likely reactions to the attack. It stays on the road and on its side. A contact that
-  happens all the same makes the hit contrived (`judge.ladder`).
+- **It touches nobody**: with a margin neither the attacker, nor any other road user (at its
+  velocity, and braking on if it brakes now), nor the AV in any of its likely reactions to the
+  attack. It stays on the road and on its side. A contact that happens all the same makes the hit
+  contrived (`judge.ladder`).
 - **It stays fair**: of the reference drivers that avoid the attacker without it, at least one still
   does so and keeps clear of S; where none does, nobody supports. The verdict on the result asks the
   same of what was driven.
@@ -55,7 +56,7 @@ from deepmf_sumo.scene import (
     Support,
     Way,
 )
-from deepmf_sumo.scene.geometry import boxes, polylines
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear
 
 WAYS: Final[dict[Way, Bools]] = {
@@ -78,6 +79,9 @@ _NEAR_M: Final = 25.0
 """A bystander that never comes so near the AV, at constant velocity, is not asked."""
 _ASKED: Final = 4
 """Bystanders that are asked, nearest first; each takes a prediction."""
+_BRAKES_MPS2: Final = 0.5
+"""Who slows down by more, over half a second, may go on to do so."""
+_BRAKES_STEPS: Final = 5
 _LEAST_GAIN: Final = 0.05
 """Of the ways out, beyond what the bystander takes anyway."""
 
@@ -396,6 +400,26 @@ class _Moment:
             until = int(others.valid[row, :end].argmin()) or end
             position, heading = others.position_m[row, :until], others.heading_rad[row, :until]
             yield _Moving(position, heading, others.size_m[row])
+        yield from self._braking(situation.opponent_id, z_m)
+
+    def _braking(self, agent_id: AgentId, z_m: Floats) -> Iterator[_Moving]:
+        """Road users that brake now and go on to do so, until they stand: who follows must stop."""
+        tracks, dt_s = self._view.history, self._view.dt_s
+        after_s = dt_s * np.arange(1, self._end + 1)
+        without = {self._view.av_id, self._situation.opponent_id, agent_id}
+        then = max(tracks.steps - 1 - _BRAKES_STEPS, 0)
+        for row, name in enumerate(tracks.ids):
+            if name in without or not tracks.valid[row, then] or clear(tracks.z_m[row, -1:], z_m):
+                continue
+            speed, before = tracks.speed_mps[row, [-1, then]].tolist()
+            braking = (before - speed) / (dt_s * (tracks.steps - 1 - then))
+            if braking < _BRAKES_MPS2:
+                continue
+            moving_s = np.minimum(after_s, speed / braking)
+            moved_m = speed * moving_s - braking * moving_s**2 / 2
+            heading = float(tracks.heading_rad[row, -1])
+            position = tracks.position_m[row, -1] + moved_m[:, None] * frames.unit(heading)
+            yield _Moving(position, np.full(self._end, heading), tracks.size_m[row, :2])
 
     # Reference drivers ---------------------------------------------------------------------------
 

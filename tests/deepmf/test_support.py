@@ -280,6 +280,21 @@ def test_a_slow_one_ahead_of_it_keeps_it_from_coming_up():
     assert asked({**BESIDE, "slow": (14.0, LANE_M, 2.0)}).plan is None
 
 
+@pytest.mark.parametrize(("braking", "clear"), [(0.0, True), (0.4, True), (3.0, False)])
+def test_it_can_stop_behind_who_brakes_now(braking, clear):
+    """One 40 m ahead of it, as fast as it will be; at 3 m/s2 that stands at x = 91 m after 7 s."""
+    assert COMES_UP[59, 0] > 85.0
+    given = attack({**BESIDE, "slow": (24.0, LANE_M, 20.0)})
+    tracks = given.situation.view.history
+    row, back_s = tracks.row("slow"), DT_S * np.arange(10, -1, -1)
+    velocity = tracks.velocity_mps.copy()
+    velocity[row, :, 0] = 20.0 + braking * back_s
+    view = replace(given.situation.view, history=replace(tracks, velocity_mps=velocity))
+    given = replace(given, situation=replace(given.situation, view=view))
+    offer = support._Moment(given, beside(), 8).offer("beside", None)
+    assert (offer.clear_steps[1] == FUTURE_STEPS) == clear
+
+
 def follows(x, keeps_s):
     """One that follows ``x`` behind the AV: it gives way, or keeps its speed and brakes late."""
     steps = round(keeps_s / DT_S)
