@@ -62,6 +62,7 @@ def command(
     _warn([run for group in groups for run in group.runs])
     if form == "table":
         screen.show_results(comparison.side_by_side(groups, everything=everything))
+        _say_made([run for group in groups for run in group.runs])
     else:
         table = comparison.compare(groups)
         rows = table.astype(object).where(table.notna(), None).to_dict("records")
@@ -120,6 +121,14 @@ def _warn(runs: "Sequence[Run]") -> None:
 
     for said in filter(None, (judged_before(runs), without_ladder(runs))):
         click.echo(f"deepmf-sumo: {said}.", err=True)
+
+
+def _say_made(runs: "Sequence[Run]") -> None:
+    """That people were made, where some were."""
+    from deepmf_sumo.report.table import made_note
+
+    if told := made_note(run.result for run in runs if run.has_result):
+        click.echo(told)
 
 
 def _named(group: "FailureGroup", folders: tuple[Path, ...]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from deepmf_sumo.scene import (
     ROLLOUT,
+    AgentId,
     Case,
     Floats,
     RecordedCase,
@@ -54,6 +55,7 @@ class Exportable:
     Attributes:
         name: stable and unique in a batch: the run id.
         duration_steps: steps after the current one that the run could have had.
+        made: ids of the people who are not in the demand: they were put there.
         look: gives `around`; it may raise UsageError or ReaderError.
         find_net: gives `net`; it may raise UsageError, ReaderError or ConversionError.
     """
@@ -63,6 +65,7 @@ class Exportable:
     duration_steps: int
     look: Callable[[], RunRoad]
     find_net: Callable[[], NetFiles]
+    made: tuple[AgentId, ...] = ()
 
     @classmethod
     def of(cls, rollout: Rollout, case: Case) -> Self:
@@ -77,6 +80,7 @@ class Exportable:
             duration_steps=case.duration_steps,
             look=lambda: _around(rollout, case),
             find_net=lambda: net,
+            made=tuple(one.id for one in case.made),
         )
 
     @cached_property

@@ -8,7 +8,7 @@ vehicle is on the middle of its lane; a vehicle whose track ends drives on to it
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -70,13 +70,13 @@ def _fill(folder: Path, run: Exportable) -> None:
     if run.net.additional is not None:
         shutil.copyfile(run.net.additional, folder / "map.add.xml")
         additional.append("map.add.xml")
-    (folder / TYPES).write_text(_types(rollout), "utf-8")
+    (folder / TYPES).write_text(_types(rollout, run.made), "utf-8")
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
-    (folder / FCD).write_text(_fcd(rollout, tracks.valid), "utf-8")
+    (folder / FCD).write_text(_fcd(rollout, tracks.valid, run.made), "utf-8")
     if (replayed == tracks.valid).all():  # most of a run's disk space
         _same(folder / FCD, folder / REPLAY)
     else:
-        (folder / REPLAY).write_text(_fcd(rollout, replayed), "utf-8")
+        (folder / REPLAY).write_text(_fcd(rollout, replayed, run.made), "utf-8")
     (folder / VIEW).write_text(_view(rollout, road), "utf-8")
     end = tracks.steps * rollout.dt_s
     (folder / CONFIG).write_text(_config(net_name, additional, end, rollout.dt_s), "utf-8")
@@ -119,14 +119,17 @@ def _from_first(on_lane: Bools) -> Bools:
     return begun
 
 
-def _types(rollout: Rollout) -> str:
+def _types(rollout: Rollout, made: Collection[AgentId]) -> str:
     tracks, lines = rollout.tracks, []
+    if made:
+        lines.append("    <!-- made: types of people who are not in the demand -->")
     for row, agent in enumerate(tracks.ids):
         length, width, height = tracks.size_m[row]
         shape = _SHAPES[class_of(tracks.kinds[row], tracks.size_m[row])]
         # vClass "ignoring": recordings have vehicles on lanes of other classes, too
+        name = _type_of(row, agent, made)
         lines.append(
-            f'    <vType id="type_{row}" vClass="ignoring" guiShape="{shape}" '
+            f'    <vType id="{name}" vClass="ignoring" guiShape="{shape}" '
             f'length="{length:.3f}" width="{width:.3f}" height="{max(height, 0.1):.3f}" '
             f'color="{_COLOURS[rollout.roles.get(agent, "other")]}" speedFactor="10" speedDev="0" '
             'maxSpeed="100" accel="1000" decel="1000" emergencyDecel="1000"/>'
@@ -155,8 +158,13 @@ def _shapes(rollout: Rollout, replayed: Bools) -> str:
     return "<additional>\n" + "\n".join(lines) + "\n</additional>\n"
 
 
-def _fcd(rollout: Rollout, present: Bools) -> str:
+def _type_of(row: int, agent: AgentId, made: Collection[AgentId]) -> str:
+    return f"type_{row}_made" if agent in made else f"type_{row}"
+
+
+def _fcd(rollout: Rollout, present: Bools, made: Collection[AgentId]) -> str:
     tracks = rollout.tracks
+    types = [_type_of(row, agent, made) for row, agent in enumerate(tracks.ids)]
     front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
     begun = [f'        <{_element(agent)} x="' for agent in tracks.ids]
     # Lists: formatting numbers of numpy takes several times as long.
@@ -169,7 +177,7 @@ def _fcd(rollout: Rollout, present: Bools) -> str:
         lines.append(f'    <timestep time="{step * rollout.dt_s:.2f}">')
         rows = np.flatnonzero(present[:, step])
         lines += [
-            f'{begun[row]}{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="type_{row}" '
+            f'{begun[row]}{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="{types[row]}" '
             f'speed="{speed:.4f}"' + (f' z="{z:.2f}"/>' if raised else "/>")
             for row, (x, y, turned, speed, z) in zip(
                 rows.tolist(), values[rows, step].tolist(), strict=True

@@ -184,8 +184,10 @@ def _document(run: Exportable, settings: Settings) -> ET.Element:
     act = _add(story, "Act", name="act")
     last = rollout.tracks.steps - 1 - first
     for actor in actors:
-        av = rollout.tracks.ids[actor.row] == rollout.av_id
-        _describe(_add(entities, "ScenarioObject", name=actor.name), actor, rollout)
+        agent = rollout.tracks.ids[actor.row]
+        av = agent == rollout.av_id
+        thing = _add(entities, "ScenarioObject", name=actor.name)
+        _describe(thing, actor, rollout, made=agent in run.made)
         if actor.stays[0][0] == 0:
             private = _add(init, "Private", entityRef=actor.name)
             _begin(private, actor)
@@ -245,7 +247,7 @@ def _known(signals: Signals) -> NDArray[np.uint8]:
     return state
 
 
-def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:
+def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout, *, made: bool) -> None:
     tracks = rollout.tracks
     length, width = map(float, tracks.size_m[actor.row, :2])
     height = float(known_heights(tracks)[actor.row])
@@ -271,6 +273,8 @@ def _describe(parent: ET.Element, actor: _Actor, rollout: Rollout) -> None:
     properties = _add(thing, "Properties")
     _add(properties, "Property", name="id", value=agent)
     _add(properties, "Property", name="role", value=rollout.roles.get(agent, "other"))
+    if made:  # a person who is not in the demand
+        _add(properties, "Property", name="made", value="true")
 
 
 def _begin(private: ET.Element, actor: _Actor) -> None:

@@ -34,6 +34,7 @@ def _row(result: Result) -> tuple[str, ...]:
     contact = first_contact(result)
     opponent = result["opponent"] or "-"
     score = result["opponent_score"]
+    opponent += ", made" if result["opponent"] in made_ids(result) else ""
     opponent += "".join(f", supported by {one}" for one in supporters(result))
     broken = "".join(f"; EXPECTATION BROKEN: {one}" for one in result["expectations_broken"])
     return (
@@ -44,6 +45,29 @@ def _row(result: Result) -> tuple[str, ...]:
         opponent if score is None else f"{opponent} ({score:.2f})",
         SECTORS[contact["sector"]] if contact and outcome.startswith("av") else "-",
         f"{result['timings']['generation_s']:.2f} s",
+    )
+
+
+def made_ids(result: Result) -> list[str]:
+    """The people of a run who are not in the demand: they were put there."""
+    return [one["id"] for one in result.get("made", [])]
+
+
+def made_people(result: Result) -> list[str]:
+    """Who was made in a run, and where, each in a few words."""
+    return [f"{one['id']} ({one['place'].replace('_', ' ')})" for one in result.get("made", [])]
+
+
+def made_note(results: Iterable[Result]) -> str:
+    """A sentence on the runs with made people; empty without any."""
+    runs = [one for one in results if one.get("made")]
+    if not runs:
+        return ""
+    attacks = sum(one.get("opponent") in made_ids(one) for one in runs)
+    people = sum(len(one["made"]) for one in runs)
+    return (
+        f"{counted(people, 'person', 'people')} in {counted(len(runs), 'run')} are not in the"
+        f" demand: they were made where people could be; {counted(attacks, 'attack')} by them"
     )
 
 

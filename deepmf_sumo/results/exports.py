@@ -209,6 +209,7 @@ def exportable(run: Run) -> Exportable:
         duration_steps=max(run.result["duration_steps"], simulated),
         look=lambda: _around(run),
         find_net=lambda: _net(run),
+        made=tuple(one["id"] for one in run.result.get("made", [])),
     )
 
 

@@ -27,6 +27,7 @@ from deepmf_sumo.scene import (
     Contact,
     ConversionReport,
     Event,
+    MadeRoadUser,
     MetricValue,
     RecordedCase,
     Rollout,
@@ -213,6 +214,8 @@ class Result(TypedDict, total=False):
         turns: the attack of each vehicle, where several attack together or in turn.
         support: of each plan of an attack with ``supporting``, its first step and
             `scene.plan.Support`; missing of other attacks.
+        made: people who are not in the demand, see `scene.MadeRoadUser`; missing where nobody was
+            made.
     """
 
     run_id: Required[str]
@@ -266,6 +269,7 @@ class Result(TypedDict, total=False):
     repairs: list[str]
     turns: list[dict[str, Any]] | None
     support: list[dict[str, Any]]
+    made: list[dict[str, Any]]
 
 
 COLUMNS: Final = (
@@ -376,6 +380,8 @@ def finished(
         result["turns"] = by_turn
     if support := _support(rollout):
         result["support"] = support
+    if case.made:
+        result["made"] = [_made(one) for one in case.made]
     return result
 
 
@@ -390,6 +396,19 @@ def _support(rollout: Rollout) -> list[dict[str, Any]]:
         for first, support in sorted(told.items())
         if support is not None
     ]
+
+
+def _made(one: MadeRoadUser) -> dict[str, Any]:
+    """Somebody who was made, in the words of ``source.people.given``, and the id."""
+    return {
+        "id": one.id,
+        "road_user": one.road_user,
+        "place": one.place,
+        "position_m": one.position_m.tolist(),
+        "heading_rad": one.heading_rad,
+        "speed_mps": one.speed_mps,
+        "way_m": [] if one.way_m is None else one.way_m.tolist(),
+    }
 
 
 def _unrepeated(rollout: Rollout, case: Case) -> list[dict[str, Any]]:

@@ -186,6 +186,13 @@ class _Result(_Part):
     timings: _Timings
 
 
+class _Made(_Part):
+    """Somebody who was made, see `scene.MadeRoadUser`."""
+
+    id: str
+    place: str
+
+
 class _Support(_Part):
     """`scene.plan.Support`, and the first step of its plan."""
 
@@ -218,6 +225,7 @@ class _Finished(_Result):
     search: _SearchPart
     turns: list[_Turn] | None = None
     support: list[_Support] = []
+    made: list[_Made] = []
 
 
 class _WholeMetric(_Metric):

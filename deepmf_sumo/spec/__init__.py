@@ -16,6 +16,7 @@ seed, not on its name: methods are compared under the same ones.
 
 from deepmf_sumo.spec.loading import VERSIONS, load, of_document, takes_turns
 from deepmf_sumo.spec.model import (
+    PERSON_PLACES,
     Av,
     Bound,
     Expect,
@@ -23,16 +24,20 @@ from deepmf_sumo.spec.model import (
     FromMoments,
     FromNetwork,
     FromRecording,
+    GivenPerson,
     Moments,
+    PersonPlace,
     Plugin,
     SearchBudget,
     Spec,
+    WantedPeople,
 )
 from deepmf_sumo.spec.profiles import DEFAULT_RULES, PROFILES, Profile, ProfileName
 from deepmf_sumo.spec.schema import schema
 
 __all__ = [
     "DEFAULT_RULES",
+    "PERSON_PLACES",
     "PROFILES",
     "VERSIONS",
     "Av",
@@ -42,12 +47,15 @@ __all__ = [
     "FromMoments",
     "FromNetwork",
     "FromRecording",
+    "GivenPerson",
     "Moments",
+    "PersonPlace",
     "Plugin",
     "Profile",
     "ProfileName",
     "SearchBudget",
     "Spec",
+    "WantedPeople",
     "load",
     "of_document",
     "schema",

@@ -3,7 +3,7 @@
 import math
 import stat
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -136,6 +136,75 @@ class _Source(Strict):
         return values
 
 
+PersonPlace = Literal["kerb", "crossing", "stop", "behind_vehicle", "queue", "cyclist"]
+PERSON_PLACES: Final[tuple[PersonPlace, ...]] = get_args(PersonPlace)
+_Point = Annotated[tuple[float, float], Field(strict=False)]
+
+
+Who = Literal["existing", "made", "both"]
+
+
+class GivenPerson(Strict):
+    """Somebody whom the spec puts beside the road."""
+
+    road_user: Literal["pedestrian", "bicycle"] = "pedestrian"
+    position_m: _Point = Field(description="x and y in the network, at the start of the episode")
+    heading_rad: float = Field(description="counter-clockwise from east")
+    speed_mps: float = Field(default=0.0, ge=0, le=8.3, description="along way_m; 0: it stands")
+    way_m: Annotated[tuple[_Point, ...], Field(strict=False)] = Field(
+        default=(), description="line through the position, from a second before it on to where"
+        " it stops; empty: straight on"
+    )  # fmt: skip
+    place: PersonPlace | Literal["given"] = "given"
+
+
+class WantedPeople(Strict):
+    """People in the traffic: those of the demand, or made ones where people could be."""
+
+    who: Who = Field(
+        default="made", description="existing: of the demand; made: put there; or both"
+    )
+    count: int = Field(default=3, ge=1, le=12, description="made around each AV, at most")
+    places: Annotated[tuple[PersonPlace, ...], Field(strict=False, min_length=1)] = Field(
+        default=PERSON_PLACES, description="where they may be; one at each before a second one"
+    )
+    given: Annotated[tuple[GivenPerson, ...], Field(strict=False)] = Field(
+        default=(), description="these, and nobody else is made"
+    )
+
+    @model_validator(mode="after")
+    def _made_by_somebody(self) -> "WantedPeople":
+        if self.who == "existing" and self.model_fields_set - {"who"}:
+            rule = "is for made people: give 'who: made' or 'who: both', or leave it out"
+            raise _wrong(rule, min(self.model_fields_set - {"who"}))
+        return self
+
+    @property
+    def made(self) -> bool:
+        """Whether somebody is put there."""
+        return self.who != "existing"
+
+    @property
+    def own(self) -> bool:
+        """Whether the people of the demand are there."""
+        return self.who != "made"
+
+    @model_serializer(mode="wrap")
+    def _written(self, write: SerializerFunctionWrapHandler) -> Any:
+        values: dict[str, Any] = write(self)
+        if not self.given:
+            values.pop("given")
+        return self.who if self == WantedPeople(who=self.who) else values
+
+
+def _one_word(value: Any) -> Any:
+    """``people: made`` is short for ``people: {who: made}``."""
+    return {"who": value} if isinstance(value, str) else value
+
+
+_EXISTING: Final = WantedPeople(who="existing")
+
+
 class FromNetwork(_Source):
     """A SUMO configuration with demand, run by SUMO until ``start_s``."""
 
@@ -145,6 +214,16 @@ class FromNetwork(_Source):
     sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="beside the .sumocfg, as on SUMO's command line"
     )
+    people: Annotated[
+        WantedPeople, BeforeValidator(_one_word, json_schema_input_type=Who | WantedPeople)
+    ] = Field(default=_EXISTING, description="existing, made, both, or a mapping, see people")
+
+    @model_serializer(mode="wrap")
+    def _written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = super()._written(write)
+        if self.people == _EXISTING:
+            values.pop("people", None)
+        return values
 
 
 class Moments(Strict):
@@ -230,6 +309,13 @@ class FromMoments(FromNetwork):
                 raise _wrong(f"'{key}' does not go with 'moments'; leave one of them out", key)
         return values
 
+    @model_validator(mode="after")
+    def _drawn(self) -> "FromMoments":
+        if self.people.given:
+            rule = "is for one moment: people are drawn around each AV where moments are chosen"
+            raise _wrong(rule, "people.given")
+        return self
+
     def at(self, start_s: float, vehicle: str) -> FromNetwork:
         """The source of one run."""
         return FromNetwork.model_construct(
@@ -237,6 +323,7 @@ class FromMoments(FromNetwork):
             start_s=start_s,
             av=Av(vehicle=vehicle),
             sumo_options=self.sumo_options,
+            people=self.people,
         )
 
 
@@ -268,6 +355,14 @@ class FromRecording(_Source):
     start_s: float = Field(
         default=0.0, ge=0, description="seconds of the recording's future that the log drives alone"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_people(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "people" in values:
+            rule = "is for networks: a recording has its own people, and nobody is made in it"
+            raise _wrong(f"{rule}; leave it out", "people")
+        return values
 
     @model_serializer(mode="wrap")
     def _written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

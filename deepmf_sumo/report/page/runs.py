@@ -11,7 +11,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.page.columns import run_row
 from deepmf_sumo.report.page.replay import lights, main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import PageRoads, element
-from deepmf_sumo.report.table import OUTCOMES, supporters
+from deepmf_sumo.report.table import OUTCOMES, made_people, supporters
 from deepmf_sumo.results import artifacts, stored
 from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.findings import tried
@@ -150,6 +150,7 @@ def _facts(run: Run, result: Result | None) -> dict[str, Any]:
         }
         supported = [f"{one}: {ways}" for one, ways in supporters(result).items()]
         facts |= {"supporters": supported} if supported else {}
+        facts |= {"made": made} if (made := made_people(result)) else {}
     log = run.log_text.splitlines()[-_LOG_LINES:]
     return {**facts, "spec": run.spec_text, "log": "\n".join(log)}
 

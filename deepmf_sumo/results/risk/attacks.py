@@ -58,6 +58,7 @@ class Attacked:
         cause: who erred how, the kind of conflict and the smallest change of the AV that avoids it
             (`judge.causes`); None without a finding, or where it is not known.
         av, opponent: ids. opponent_kind: as in tracks, e.g. ``vehicle``; empty if it was not there.
+        made: the opponent is not in the demand: it was put there.
     """
 
     folder: str
@@ -85,6 +86,7 @@ class Attacked:
     opponent: str = ""
     weight: float = 1.0
     opponent_kind: str = ""
+    made: bool = False
 
     @property
     def finding(self) -> bool:
@@ -165,6 +167,7 @@ def _attacked(
         av=found.av_id,
         opponent=foe,
         opponent_kind=_kind_of(found, foe),
+        made=any(one["id"] == foe for one in result.get("made", [])),
     )
 
 

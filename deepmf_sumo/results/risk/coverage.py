@@ -68,6 +68,10 @@ _DRIVEN_RULES: Final = {
 }
 
 
+_MADE: Final = "made attacker"
+_MADE_MEANS: Final = "it is not in the demand: it was put where it could be"
+
+
 class Subject(NamedTuple):
     """What a cell is about, in one of the tables."""
 
@@ -122,7 +126,9 @@ def coverage(network: Network) -> list[EvidenceCell]:
     for one in network.attacks:
         for key in _of(one):
             groups[key].append(one)
-    return [_cell(network, entry, groups[entry.key]) for entry in _entries(network.places)]
+    entries = _entries(network.places)
+    made = [_Entry(key, _MADE_MEANS, None) for key in sorted(groups) if key.subject == _MADE]
+    return [_cell(network, entry, groups[entry.key]) for entry in (*entries, *made)]
 
 
 def _of(one: Attacked) -> Iterator[Subject]:
@@ -136,6 +142,8 @@ def _of(one: Attacked) -> Iterator[Subject]:
     yield Subject("manoeuvre", _SPEED, _speed(one.speed_mps))
     if one.kind:
         yield Subject("conflict", "kind of conflict", one.kind)
+    if one.made:
+        yield Subject("conflict", _MADE, one.opponent_kind)
     for rule in _at_stake(one):
         yield Subject("rule", "rule", rule)
     yield Subject("place", "movement", one.began.movement)

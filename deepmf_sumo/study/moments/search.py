@@ -272,6 +272,7 @@ def _rows(table: Iterable[dict[str, str]]) -> Iterable[VehicleTime]:
         yield of_cell(row["av"]), round(start_s, 1)
 
 
+_SETTABLE: Final = ("source.moments.", "source.people.")
 MET: Final = "met"
 """The adversary's ``opponent`` that is the vehicle that the AV is about to meet."""
 
@@ -343,10 +344,10 @@ def _document(
     for assignment in sets:
         path = assignment.partition("=")[0].strip()
         key = path.partition(".")[0]
-        if key == "source" and not path.startswith("source.moments."):
+        if key == "source" and not f"{path}.".startswith(_SETTABLE):
             raise UsageError(
                 f"--set {assignment}: the source is CONFIG with what stands behind --; of its keys"
-                " only those of source.moments can be set."
+                " only those of source.moments can be set, and source.people."
             )
         if key == "version":
             raise UsageError(f"--set {assignment}: attack is short for specs of version 3.")

@@ -8,6 +8,7 @@ import numpy as np
 from deepmf_sumo.scene import DT_S, AgentId, Floats
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.spec import FromNetwork
+from deepmf_sumo.study.moments import people_later
 from deepmf_sumo.study.shrink.failure import RecordedHit
 
 AFTER_STEPS: Final = 20
@@ -62,6 +63,8 @@ def spec_values(candidate: Candidate, failure: RecordedHit, path: Floats) -> dic
     later = round(spec.source.start_s + candidate.begin * DT_S, 3)
     if later or isinstance(spec.source, FromNetwork):
         source["start_s"] = later
+    if isinstance(spec.source, FromNetwork) and spec.source.people.given:
+        source["people"] = people_later(spec.source.people, candidate.begin * DT_S)
     if candidate.only is not None:
         source["only"] = list(candidate.only)
     rounded = [

@@ -11,8 +11,9 @@ from deepmf_sumo.errors import SpecError, UsageError, nearest
 from deepmf_sumo.files import cache_folder
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results, Run
+from deepmf_sumo.results.result import Result
 from deepmf_sumo.scene import AgentId, Contact, Floats, Plan, Rollout
-from deepmf_sumo.spec import Spec, tasks
+from deepmf_sumo.spec import FromNetwork, Spec, WantedPeople, tasks
 from deepmf_sumo.spec.tasks import Task
 
 _LISTED: Final = 5
@@ -104,7 +105,7 @@ def read(folder: Path) -> RecordedHit:
             f"{folder}: the opponent did not hit the AV (outcome: {result['outcome']}); give a run"
             " with the outcome av_opponent."
         )
-    task = _task(folder, result["run_id"])
+    task = _with_the_same_people(_task(folder, result["run_id"]), result)
     row = {key: str(value or "") for key, value in result.items()} | {"seed": str(result["seed"])}
     run = replace(Run.of_row(Path(), row), folder=folder)
     try:
@@ -151,6 +152,17 @@ def _task(folder: Path, run_id: str) -> Task:
     if len(found) != 1:
         raise SpecError(f"{file} describes {len(found)} runs, not one; run it again.")
     return replace(found[0], run_id=run_id)
+
+
+def _with_the_same_people(task: Task, result: Result) -> Task:
+    """The run with the people who were made, as given: a later start would draw others."""
+    source, made = task.spec.source, result.get("made", [])
+    if not made or not isinstance(source, FromNetwork):
+        return task
+    given = [{key: value for key, value in one.items() if key != "id"} for one in made]
+    people = WantedPeople.model_validate({"who": source.people.who, "given": given})
+    source = source.model_copy(update={"people": people})
+    return replace(task, spec=task.spec.model_copy(update={"source": source}))
 
 
 def _others(rollout: Rollout, hit: Contact) -> tuple[AgentId, ...]:

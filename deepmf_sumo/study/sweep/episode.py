@@ -8,9 +8,10 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import yaml
@@ -42,6 +43,7 @@ from deepmf_sumo.scene import (
     Attack,
     Budget,
     Case,
+    Event,
     RecordedCase,
     Rollout,
     Scene,
@@ -54,6 +56,7 @@ from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.scene.readers import RecordRef
 from deepmf_sumo.spec import Expect, FromNetwork, FromRecording
 from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.study.moments import made_people
 from deepmf_sumo.study.sweep import fork
 from deepmf_sumo.study.sweep.fork import logged
 from deepmf_sumo.sumo import network, simulation
@@ -168,7 +171,8 @@ class TaskRunner:
     def _attack(self, task: Task, folder: Path) -> result.Result:
         begin = time.perf_counter()
         _adversary_of(task)  # first, for what is wrong with the weights shows soonest
-        case, plain = _with_unattacked(task, make_case(task, self.cache))
+        made, nobody = _with_people(task, make_case(task, self.cache))
+        case, plain = _with_unattacked(task, made)
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
         decisive = result.decisive_part(rollout, case)
@@ -190,6 +194,7 @@ class TaskRunner:
         found = result.finished(task, case, attack, measured, wall_s, by_turn, decided)
         alone = metrics.measure(plain, case, only=MONITORS) if plain else []
         found["plain"] = result.values_of(alone)
+        found["events"] = [*map(asdict, nobody), *found["events"]]
         wrong = result.not_finite(found)
         if wrong:
             raise RunError(f"{wrong} is not a finite number; the run is not used.")
@@ -245,6 +250,7 @@ def make_case(task: Task, cache: Path) -> Case:
             source.sumo_options,
             TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
             source.only,
+            own_people=source.people.own,
         )
     assert task.record is not None, "the plan finds the scenes of recordings"
     scene, net = _recorded(task.record, cache)
@@ -295,6 +301,26 @@ def _recorded(record: RecordRef, cache: Path) -> tuple[Scene, SumoNet]:
     """Kept between tasks: the methods of a benchmark follow one another on a scene."""
     scene = readers.read(record)
     return scene, network.cached(scene, cache / "nets")
+
+
+def _with_people(task: Task, case: Case) -> tuple[Case, tuple[Event, ...]]:
+    """The case with the made people that its spec asks for, and where nobody could be made.
+
+    They are drawn around the AV's way in the traffic as SUMO drives it, whatever the planner: so
+    all methods and planners of a scene have the same.
+    """
+    source = task.spec.source
+    if not isinstance(source, FromNetwork) or not source.people.made:
+        return case, ()
+    assert isinstance(case, TrafficCase)
+    rollout = fork.tried(task, lambda: simulation.plain(case), case)
+    rng = np.random.default_rng([*task.entropy(), crc32(b"people")])
+    drawn = made_people.drawn(case, source.people, rollout, rng)
+    nobody = (
+        Event(step=rollout.now, agent_id=place, kind="nobody_made", detail=why)
+        for place, why in drawn.nobody
+    )
+    return replace(case, made=drawn.made), tuple(nobody)
 
 
 def _with_unattacked(task: Task, case: Case) -> tuple[Case, Rollout | None]:

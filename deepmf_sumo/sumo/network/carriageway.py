@@ -17,17 +17,26 @@ from deepmf_sumo.scene.geometry.ground import clear
 from deepmf_sumo.sumo.network.sumo_net import NetFile, NetLane, read_once
 from deepmf_sumo.sumo.network.sumo_road import roadways
 
-_DRIVING: Final = (
-    *("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency", "bicycle"),
+_MOTOR: Final = (
+    *("passenger", "bus", "taxi", "delivery", "truck", "motorcycle", "emergency"),
     *("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway"),
 )
+_DRIVING: Final = (*_MOTOR, "bicycle")
+_REACHES_M: Final = (10.0, 50.0, 1e6)
 _ON_FOOT: Final = {"crossing", "walkingarea"}
 _NOT_HERE: Final = {*_ON_FOOT, "connector"}
 
 
 def driven_on(lane: NetLane) -> bool:
-    """Whether anything but people on foot moves on a lane."""
+    """Whether anything but people on foot moves on a lane, and bicycles on a path for both."""
+    if lane.allows("pedestrian"):
+        return any(lane.allows(one) for one in _MOTOR)
     return any(lane.allows(one) for one in _DRIVING)
+
+
+def driver_of(lane: NetLane) -> str:
+    """A class of vehicles that moves on a lane that is driven on."""
+    return next(one for one in _DRIVING if lane.allows(one))
 
 
 class Carriageway:
@@ -46,12 +55,13 @@ class Carriageway:
         ]
         areas = [_area(lane) for lane in lanes]
         heights = [float(lane.shape_m[:, 2].mean()) for lane in lanes]
-        rings = [shapely.buffer(shapely.Polygon(ring), 0.0) for ring in roadways(net)]
-        self._lane_areas = np.array(areas, object)
-        tree = shapely.STRtree(self._lane_areas) if areas else None
+        outlines = (shapely.buffer(shapely.Polygon(ring), 0.0) for ring in roadways(net))
+        rings = [one for one in outlines if not one.is_empty]  # dead ends may have none
+        tree = shapely.STRtree(np.array(areas, object)) if areas else None
         for ring in rings:
             near = None if tree is None else tree.nearest(ring)
             heights.append(heights[int(near)] if near is not None else 0.0)
+        self._lanes, self._lane_tree = lanes, tree
         self._areas = np.array([*areas, *rings], object)
         self._z_m = np.array(heights)
         self._tree = shapely.STRtree(self._areas)
@@ -62,6 +72,29 @@ class Carriageway:
         rows = np.sort(self._tree.query(place, predicate="dwithin", distance=reach_m))
         rows = rows[~clear(self._z_m[rows], np.array(z_m))]
         return shapely.union_all(self._areas[rows])
+
+    def lane_at(self, position_m: Floats, *, road: bool = False) -> NetLane | None:
+        """The nearest lane that is driven on; None in a network without any.
+
+        ``road``: outside junctions.
+        """
+        if self._lane_tree is None:
+            return None
+        place = shapely.Point(*np.asarray(position_m, float))
+        for reach_m in _REACHES_M:
+            rows = self._lane_tree.query(place, predicate="dwithin", distance=reach_m)
+            near = [self._lanes[row] for row in rows if not (road and _inside(self._lanes[row]))]
+            if near:
+                return min(near, key=lambda lane: (_away_m(lane, place), lane.id))
+        return None
+
+
+def _inside(lane: NetLane) -> bool:
+    return lane.id.startswith(":")
+
+
+def _away_m(lane: NetLane, place: BaseGeometry) -> float:
+    return float(shapely.distance(shapely.LineString(lane.shape_m[:, :2]), place))
 
 
 def _area(lane: NetLane) -> BaseGeometry:

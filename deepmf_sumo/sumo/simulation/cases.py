@@ -17,11 +17,13 @@ def network_case(
     sumo_options: tuple[str, ...] = (),
     turns: TurnRules | None = None,
     only: tuple[AgentId, ...] | None = None,
+    *,
+    own_people: bool = True,
 ) -> TrafficCase:
     """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
 
     ``sumo_options``: beside the configuration, as on SUMO's command line. ``turns``: opponents
-    attack in turn. ``only``: road users beside the AV.
+    attack in turn. ``only``: road users beside the AV. ``own_people``: see `TrafficCase`.
 
     Raises SimulationError if the configuration or its network is missing. Whether the vehicle is
     present at the start is known only in the simulation.
@@ -39,4 +41,5 @@ def network_case(
         sumo_options=sumo_options,
         turns=turns,
         only=only,
+        own_people=own_people,
     )

@@ -8,9 +8,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from deepmf_sumo.planners import sumo
 from deepmf_sumo.planners._checked import Guard
 from deepmf_sumo.planners.base import FixedPlanner, Planner
-from deepmf_sumo.scene import AgentId, Case, RecordedCase, Rollout, VehicleModel
+from deepmf_sumo.scene import AgentId, Case, RecordedCase, Rollout, TrafficCase, VehicleModel
 from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.sumo.simulation import log_only, log_world, traffic_world
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
@@ -72,6 +73,16 @@ def simulate(
         with _opened(case, guarded.model, backend) as (api, world):
             observers = [GuiWindow(api, case.av_id)] if backend == "gui" else []
             return run(case, world, guarded, policy, rng, observers)
+
+
+def plain(case: TrafficCase) -> Rollout:
+    """The episode of a case with neither planner nor attack: SUMO drives everybody.
+
+    Raises SimulationError as `simulate`.
+    """
+    with traffic_world.opened_plain(case) as world:
+        driver = sumo.build(sumo.Settings())
+        return run(case, world, driver, None, np.random.default_rng(case.seed))
 
 
 def _opened(

@@ -1,9 +1,10 @@
 """Made people in SUMO: how they get there, how they move, and how they leave the road.
 
-In SUMO a made road user is a vehicle of the class ``ignoring``, which may be anywhere. SUMO's own
-persons would end the simulation on a network without footways. It is placed at every step: beside
-the lanes SUMO's vehicles do not see it; on a lane they brake for it as for a vehicle (measured with
-SUMO 1.28: from where its box reaches into the lane on).
+In SUMO a made road user is a vehicle: SUMO's own persons would end the simulation on a network
+without footways. It is placed at every step: beside the lanes SUMO's vehicles do not see it; on a
+lane they brake for it as for a vehicle (measured with SUMO 1.28: from where its box reaches into
+the lane on). Its class is one that may use the nearest lane that is driven on. With the class
+``ignoring``, which may be everywhere, SUMO puts it onto walking areas, and dies with the next step.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -14,13 +15,15 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import AgentId, Floats, MadeRoadUser
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.road_users import ROAD_USERS, RoadUser
+from deepmf_sumo.sumo.network.carriageway import Carriageway, driver_of
 from deepmf_sumo.sumo.simulation.frame import Body, Pose
 from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.ownership import NextOwner
-from deepmf_sumo.sumo.simulation.sumo_api import ANY_ROUTE, MADE_TYPE, SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, SumoApi
 from deepmf_sumo.sumo.simulation.vehicle_control import move
 
 _AHEAD_M: Final = 0.5
@@ -30,9 +33,6 @@ BESIDE_M: Final = 0.5
 _REACH_M: Final = 25.0
 _ANYWHERE_M: Final = 1000.0
 """SUMO inserts a vehicle near a lane alone; it is put exactly where it belongs all the same."""
-
-Around = Callable[[Floats, float, float], BaseGeometry]
-"""The carriageway within reach of a position (2,), at a height."""
 
 
 def body_of(made: MadeRoadUser) -> Body:
@@ -94,15 +94,17 @@ class WayOff(Walk):
     Args:
         pose: the last one of the policy.
         user: its class.
-        around: the carriageway.
+        roads: where vehicles drive.
     """
 
-    def __init__(self, pose: Pose, user: RoadUser, around: Around) -> None:
+    def __init__(self, pose: Pose, user: RoadUser, roads: Carriageway) -> None:
         limits = user.motion.planned
         here = np.array([pose.x_m, pose.y_m])
         stop_m = pose.speed_mps**2 / (2 * limits.brake)
         comes_to = here + stop_m * frames.unit(np.array(pose.heading_rad))
-        super().__init__(pose, limits, _beside(comes_to, user, around(here, _REACH_M, pose.z_m)))
+        super().__init__(
+            pose, limits, _beside(comes_to, user, roads.near(here, _REACH_M, pose.z_m))
+        )
 
 
 def _beside(place_m: Floats, user: RoadUser, carriageway: BaseGeometry) -> Floats:
@@ -122,14 +124,16 @@ class MadePeople:
     Args:
         api: a running SUMO.
         made: who is there.
-        around: the carriageway.
+        roads: where vehicles drive.
 
     Attributes:
         ids: of all of them.
     """
 
-    def __init__(self, api: SumoApi, made: Sequence[MadeRoadUser], around: Around) -> None:
-        self._api, self._around = api, around
+    def __init__(
+        self, api: SumoApi, made: Sequence[MadeRoadUser], roads: Callable[[], Carriageway]
+    ) -> None:
+        self._api, self._roads = api, roads
         self._made = {one.id: one for one in made}
         self.ids = frozenset(self._made)
         self._taken: dict[AgentId, Pose] = {}
@@ -143,13 +147,30 @@ class MadePeople:
         """Put all of them where they are at a time, in s after the start, with the next step."""
         if not self._made:
             return
-        api = self._api
-        road = next(one for one in api.edge.getIDList() if not one.startswith(":"))
-        api.route.add(ANY_ROUTE, [road])
+        api, routes = self._api, set[str]()
         for name, one in self._made.items():
-            api.vehicle.add(name, ANY_ROUTE, typeID=MADE_TYPE + one.road_user, departSpeed="0")
             pose = without_attack(one, time_s)
+            lane = self._roads().lane_at(_place(pose), road=True)
+            if lane is None:
+                raise SimulationError("Nobody can be made on a network without a road.")
+            route = f"{MADE_TYPE}{lane.edge}"
+            if route not in routes:
+                routes.add(route)
+                api.route.add(route, [lane.edge])
+            api.vehicle.add(name, route, typeID=MADE_TYPE + one.road_user, departSpeed="0")
+            api.vehicle.setVehicleClass(name, driver_of(lane))
             move(api, name, pose, body_of(one).size_m[0], _ANYWHERE_M)
+
+    def fit(self, agent: AgentId, pose: Pose) -> None:
+        """Before it is placed: let it use the nearest lane."""
+        vehicle = self._api.vehicle
+        if agent not in self._made or agent not in vehicle.getIDList():
+            return
+        lane = self._roads().lane_at(_place(pose))
+        if lane is not None:
+            permission = driver_of(lane)
+            if vehicle.getVehicleClass(agent) != permission:
+                vehicle.setVehicleClass(agent, permission)
 
     def poses(
         self,
@@ -171,12 +192,16 @@ class MadePeople:
             if name in self._taken:
                 user = ROAD_USERS[one.road_user]
                 pose = self._taken.pop(name)
-                self._leaving[name] = WayOff(pose, user, self._around)
+                self._leaving[name] = WayOff(pose, user, self._roads())
             if name in self._leaving:
                 found[name] = self._leaving[name].next(partial(clear, name))
             else:
                 found[name] = without_attack(one, time_s)
         return found
+
+
+def _place(pose: Pose) -> Floats:
+    return np.array([pose.x_m, pose.y_m])
 
 
 class OwnerOfMade:

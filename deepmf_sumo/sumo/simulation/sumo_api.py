@@ -181,11 +181,12 @@ _TRAFFIC = (
     f'<vType id="{TRAFFIC_TYPE}" carFollowModel="IDM" accel="1.5" decel="2" emergencyDecel="8" '
     'tau="1.5" minGap="2" speedFactor="1" speedDev="0"/>'
 )
-# Made people may be anywhere, and SUMO's cars stop close behind them. IDM draws no random numbers,
+# SUMO's cars stop close behind made people. IDM draws no random numbers,
 # so that they change nothing for those who do not meet them; and they have no devices.
 _MADE = (
-    '<vType id="{id}" vClass="ignoring" carFollowModel="IDM" length="{length:g}" width="{width:g}" '
-    'height="{height:g}" minGap="0.25" speedFactor="1" speedDev="0" maxSpeed="{fastest:g}">'
+    '<vType id="{id}" vClass="passenger" carFollowModel="IDM" length="{length:g}" '
+    'width="{width:g}" height="{height:g}" minGap="0.25" speedFactor="1" speedDev="0" '
+    'maxSpeed="{fastest:g}">'
     '<param key="has.rerouting.device" value="false"/></vType>'
 )
 

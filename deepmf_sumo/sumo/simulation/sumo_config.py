@@ -12,7 +12,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -194,15 +194,21 @@ _held: _Held | None = None  # libsumo is one simulation a process
 
 @contextmanager
 def begun(
-    traffic: Traffic, backend: Backend = "libsumo", warned: list[str] | None = None
+    traffic: Traffic,
+    backend: Backend = "libsumo",
+    warned: list[str] | None = None,
+    *,
+    any_model: bool = False,
 ) -> Iterator[SumoApi]:
     """SUMO with the traffic: the one that is held, if it has the same, else started anew.
 
-    ``warned`` gets the warnings of a SUMO that was started anew, when it has ended.
+    ``any_model``: whatever the type for the AV is, which is not used. ``warned`` gets the warnings
+    of a SUMO that was started anew, when it has ended.
     """
     global _held  # noqa: PLW0603
     held = _held
-    if held and held.traffic == traffic and backend == "libsumo":
+    same = held and (replace(held.traffic, model=traffic.model) if any_model else held.traffic)
+    if held and same == traffic and backend == "libsumo":
         _held = None
         with (
             _messages(held) as folder,

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from shapely.geometry.base import BaseGeometry
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import (
@@ -16,7 +15,6 @@ from deepmf_sumo.scene import (
     Command,
     Driver,
     Event,
-    Floats,
     RoadMap,
     SignalState,
     TrafficCase,
@@ -60,6 +58,15 @@ def opened(
     traffic = Traffic(configuration=configuration, seed=case.seed, model=model)
     with begun(traffic, backend) as api:
         yield api, TrafficWorld(api, case, configuration, model)
+
+
+@contextmanager
+def opened_plain(case: TrafficCase) -> Iterator[World]:
+    """The world of the case, in which SUMO drives the AV as all others, whatever SUMO is held."""
+    configuration = read_configuration(case.config, case.sumo_options)
+    traffic = Traffic(configuration=configuration, seed=case.seed)
+    with begun(traffic, any_model=True) as api:
+        yield TrafficWorld(api, case, configuration, None)
 
 
 class TrafficWorld:
@@ -145,7 +152,7 @@ class TrafficWorld:
         made = self._made.poses(self._since_start_s(), poses, self.next_owner.clear)
         for agent, pose in {**poses, **made}.items():
             if pose is not None:
-                self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
+                self._place(agent, pose)
             else:
                 self._takeover.hand_back(self._step, agent)
         self._api.simulationStep()
@@ -230,7 +237,7 @@ class TrafficWorld:
         """The made people of a case, known to all who ask what an agent is."""
         only = None if case.only is None else set(case.only)
         made = [one for one in case.made if only is None or one.id in only]
-        found = MadePeople(self._api, made, partial(_carriageway, case))
+        found = MadePeople(self._api, made, partial(carriageway_of, case.net_file))
         for agent, body in found.bodies().items():
             self._reader.bodies.declare(agent, body)
         return found
@@ -238,7 +245,12 @@ class TrafficWorld:
     def _place_made(self, time_s: float) -> None:
         """Where they are at the end of the coming step, before the case has begun."""
         for agent, pose in self._made.poses(time_s, {}, lambda *_: True).items():
-            self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
+            self._place(agent, pose)
+
+    def _place(self, agent: AgentId, pose: Pose) -> None:
+        """Put an opponent or a made person somewhere at the end of the coming step."""
+        self._made.fit(agent, pose)
+        self._takeover.place(self._step, agent, pose, self.body(agent).size_m[0])
 
     def _with_made(self, frame: Frame, time_s: float) -> Frame:
         """A frame of the history with the made people exactly where they are."""
@@ -282,10 +294,6 @@ class TrafficWorld:
             detail = f"{configuration.file.name} asks for {configuration.step_s:g} s, run at 0.1 s"
             event = Event(step=self._step, agent_id="", kind="step_length_changed", detail=detail)
             self.events.append(event)
-
-
-def _carriageway(case: TrafficCase, position_m: Floats, reach_m: float, z_m: float) -> BaseGeometry:
-    return carriageway_of(case.net_file).near(position_m, reach_m, z_m)
 
 
 def _named(api: SumoApi, only: set[AgentId]) -> set[AgentId]:

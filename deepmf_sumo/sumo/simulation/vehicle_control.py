@@ -17,7 +17,7 @@ from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS, Walk
 from deepmf_sumo.sumo.simulation.person_control import SEEN_ON_ANY_LANE, PersonControl
 from deepmf_sumo.sumo.simulation.road_users import kind_of
-from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, SumoApi
 
 MATCH_M: Final = 5.0
 """Largest distance of a moving vehicle from the lane on which SUMO still takes it."""
@@ -147,6 +147,8 @@ class HandOver:
         vehicle, option = self._api.vehicle, self._api.simulation.getOption
         sublane = float(option("lateral-resolution")) > 0
         self._lost.discard(vehicle_id)
+        if vehicle.getTypeID(vehicle_id).startswith(MADE_TYPE):
+            return  # it always has a class that may be where it is
         if (sublane or float(option("lanechange.duration")) > 0) and vehicle_id not in self._class:
             self._class[vehicle_id] = str(vehicle.getVehicleClass(vehicle_id))
             vehicle.setVehicleClass(vehicle_id, "ignoring")
@@ -293,7 +295,8 @@ class Takeover:
         if stops:
             detail = "it has stops, so SUMO's vehicles see it on its own route alone"
             self._note(step, agent, "seen_on_route", detail)
-        rides = kind_of(str(self._api.vehicle.getVehicleClass(agent))) == "cyclist"
+        made = str(self._api.vehicle.getTypeID(agent)).startswith(MADE_TYPE)
+        rides = not made and kind_of(str(self._api.vehicle.getVehicleClass(agent))) == "cyclist"
         self._hand_over.take(agent)
         return _Taken(
             agent=agent, length_m=length_m, route=route, stops=stops, rides=rides, pose=pose

@@ -82,6 +82,7 @@ function factsOf(row, details, content) {
     constraints: (details.constraints ?? []).join(", "),
     ended: details.ended,
     "supported by": (details.supporters ?? []).join("; "),
+    "people who were made, not in the demand": (details.made ?? []).join("; "),
     "opponent without the attack": UNATTACKED[details.counterfactual],
     plans: details.plans,
     "deepmf-sumo": manifest.version,

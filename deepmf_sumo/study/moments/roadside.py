@@ -1,0 +1,197 @@
+"""What is beside the way of an AV: where its carriageway ends, and when it comes by."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Literal
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from deepmf_sumo.scene import DT_S, AgentId, Bools, Floats, Rollout, Tracks, TrafficCase
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.sumo.network.carriageway import carriageway_of, driven_on
+from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane, read_once
+
+Side = Literal[-1, 1]
+"""1: left of the way, -1: right."""
+GAP_M: Final = (0.3, 1.0)
+"""Between the border of the carriageway and the box of somebody who stands beside it."""
+_SPACING_M: Final = 1.0
+_STEP_M: Final = 0.1
+_FARTHEST_M: Final = 20.0
+"""Beside the way; a carriageway that is wider is a square, or several roads."""
+_MOVES_M: Final = 0.05
+_BEHIND_M: Final = 12.0
+"""The way is continued straight back so far: who walks along it may come from there."""
+_CLEAR_M: Final = 0.3
+"""Between boxes of road users and those of made people."""
+_NOBODY_WALKS: Final = ("motorway", "trunk")
+_FASTEST_MPS: Final = 25.0
+_TYPE_REACH_M: Final = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Roadside:
+    """The way of an AV without an attack, and what is around it.
+
+    Attributes:
+        tracks: of everybody without an attack. now: the step of the start. av: row of the AV.
+        way_m: (P, 2) of its centre, a metre apart, from `_BEHIND_M` behind its start on. arrives_s:
+            (P) when its front is there; negative where it has been. z_m: (P).
+        carriageway: where vehicles drive.
+        net: its network.
+    """
+
+    tracks: Tracks
+    now: int
+    av: int
+    way_m: Floats
+    arrives_s: Floats
+    z_m: Floats
+    carriageway: BaseGeometry
+    net: NetFile
+
+    @classmethod
+    def of(cls, case: TrafficCase, rollout: Rollout) -> "Roadside | None":
+        """Of a case and its episode without an attack; None where the AV does not move."""
+        tracks, now = rollout.tracks, rollout.now
+        row = tracks.row(rollout.av_id)
+        steps = np.flatnonzero(tracks.valid[row, now:]) + now
+        place, height = tracks.position_m[row, steps], tracks.z_m[row, steps]
+        gone = np.concatenate([[True], np.hypot(*np.diff(place, axis=0).T) > _MOVES_M])
+        if gone.sum() < 2:
+            return None
+        heading = frames.unit(tracks.heading_rad[row, steps[0]])
+        line = np.concatenate([[place[0] - _BEHIND_M * heading], place[gone]])
+        at_m = polylines.arc_lengths(line)
+        along_m = np.arange(0.0, at_m[-1], _SPACING_M)
+        way_m, _ = polylines.points_at(line, along_m)
+        front_m = along_m - tracks.size_m[row, 0] / 2
+        arrives_s = np.interp(front_m, at_m[1:], (steps[gone] - now) * DT_S, left=-1.0)
+        z_m = np.interp(along_m, at_m[1:], height[gone])
+        middle = (way_m.min(axis=0) + way_m.max(axis=0)) / 2
+        reach_m = float(np.hypot(*(way_m - middle).T).max()) + 2 * _FARTHEST_M
+        near = carriageway_of(case.net_file).near(middle, reach_m, float(z_m[len(z_m) // 2]))
+        shapely.prepare(near)
+        return cls(
+            tracks=tracks,
+            now=now,
+            av=row,
+            way_m=way_m,
+            arrives_s=arrives_s,
+            z_m=z_m,
+            carriageway=near,
+            net=read_once(case.net_file),
+        )
+
+    @cached_property
+    def normal(self) -> Floats:
+        """(P, 2) to the left of the way."""
+        step = np.gradient(self.way_m, axis=0)
+        step /= np.maximum(np.hypot(*step.T), 1e-9)[:, None]
+        return np.column_stack([-step[:, 1], step[:, 0]])
+
+    @property
+    def outer(self) -> Side:
+        """The side of the kerb."""
+        return 1 if self.net.left_hand else -1
+
+    def reached(self, place_m: Floats) -> tuple[int, float]:
+        """The nearest point of the way to a place (2,), by its number, and how far off it is."""
+        away = np.hypot(*(self.way_m - place_m).T)
+        at = int(away.argmin())
+        return at, float(away[at])
+
+    def kept(self, half_m: float, gap_m: float = GAP_M[0]) -> BaseGeometry:
+        """Where the centre of a box that wide cannot be beside the carriageway."""
+        area = shapely.buffer(self.carriageway, gap_m + half_m)
+        shapely.prepare(area)
+        return area
+
+    def exits_m(self, kept: BaseGeometry, side: Side, from_m: float = 0.0) -> Floats:
+        """(P) offset from the way, to a side, of the first place that is free; nan: there is none.
+
+        ``from_m``: begin so far from the way.
+        """
+        offset = np.arange(from_m, _FARTHEST_M, _STEP_M)
+        rays = self.way_m[:, None] + side * offset[:, None] * self.normal[:, None]
+        free = ~shapely.contains_xy(kept, rays[..., 0], rays[..., 1])
+        first = free.argmax(axis=1)
+        found: Floats = np.where(free.any(axis=1), offset[first], np.nan)
+        return found
+
+    def beside(self, at: int, side: Side, offset_m: float) -> Floats:
+        """The place (2,) at an offset to a side of a point of the way."""
+        return np.asarray(self.way_m[at] + side * offset_m * self.normal[at], float)
+
+    @cached_property
+    def inside(self) -> Bools:
+        """(P) whether the way is in a junction there."""
+        shapes = [one.shape_m for one in self.net.junctions if len(one.shape_m) > 2]
+        low, high = self.way_m.min(axis=0), self.way_m.max(axis=0)
+        near = [
+            shapely.Polygon(ring)
+            for ring in shapes
+            if (ring.max(axis=0) > low).all() and (ring.min(axis=0) < high).all()
+        ]
+        found = np.zeros(len(self.way_m), bool)
+        for ring in near:
+            found |= shapely.contains_xy(shapely.buffer(ring, 0.0), *self.way_m.T)
+        return found
+
+    @cached_property
+    def walked(self) -> Bools:
+        """(P) whether people walk along that road: not on motorways and the like."""
+        lanes = self.lanes_near
+        if not lanes:
+            return np.ones(len(self.way_m), bool)
+        tree = shapely.STRtree([shapely.LineString(lane.shape_m[:, :2]) for _, lane in lanes])
+        found = np.ones(len(self.way_m), bool)
+        points = shapely.points(self.way_m)
+        rows, nearest = tree.query_nearest(points, max_distance=_TYPE_REACH_M, all_matches=False)
+        for row, number in zip(rows.tolist(), nearest.tolist(), strict=True):
+            edge, lane = lanes[number]
+            kind = edge.type.lower()
+            found[row] = (
+                not any(word in kind for word in _NOBODY_WALKS) and lane.speed_mps <= _FASTEST_MPS
+            )
+        return found
+
+    @cached_property
+    def lanes_near(self) -> list[tuple[NetEdge, NetLane]]:
+        """Driven lanes outside junctions within reach of the way."""
+        low, high = self.way_m.min(axis=0) - _FARTHEST_M, self.way_m.max(axis=0) + _FARTHEST_M
+        return [
+            (edge, lane)
+            for edge in self.net.edges.values()
+            if not edge.function
+            for lane in edge.lanes
+            if len(lane.shape_m) > 1
+            and (lane.shape_m[:, :2].max(axis=0) > low).all()
+            and (lane.shape_m[:, :2].min(axis=0) < high).all()
+            and driven_on(lane)
+        ]
+
+    def free(self, poses: Floats, size_m: Sequence[float], others: dict[AgentId, Floats]) -> bool:
+        """Whether a box is in nobody's way.
+
+        Args:
+            poses: (T, 3) of the box at the steps of the tracks, x, y and heading.
+            size_m: its length and width.
+            others: (T, 3) poses of other made people, who are as wide as they are long.
+        """
+        tracks, grown = self.tracks, np.array(size_m[:2]) + 2 * _CLEAR_M
+        near = np.hypot(*np.moveaxis(tracks.position_m - poses[:, :2], -1, 0)) < 25.0
+        rows, steps = np.nonzero(near & tracks.valid)
+        hit = boxes.overlap(
+            poses[steps, :2],
+            poses[steps, 2],
+            np.broadcast_to(grown, (len(steps), 2)),
+            tracks.position_m[rows, steps],
+            tracks.heading_rad[rows, steps],
+            tracks.size_m[rows, :2],
+        )
+        apart = [np.hypot(*(one[:, :2] - poses[:, :2]).T).min() for one in others.values()]
+        return not bool(np.any(hit)) and all(one > 2.0 for one in apart)
