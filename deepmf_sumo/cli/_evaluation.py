@@ -28,6 +28,8 @@ _CONDITIONS: Final = {
     "given_true": "conditional, given the true future",
     "given_shuffled": "conditional, given a shuffled one",
 }
+_KINDS: Final = ("pedestrian", "cyclist")
+_KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
 _GROUPS: Final = {"all": "both", "av": "AV", "partner": "partner"}
 _GAINS: Final = {
     "log_likelihood_gain": "marginal network",
@@ -65,7 +67,8 @@ def show(found: Evaluation) -> None:
         console.print(escape(f"  refused: {reason}"), style="yellow", soft_wrap=True)
     if refused > len(found.refusals):
         console.print(f"  and {refused - len(found.refusals)} more", style="yellow")
-    for part in (*_opponent(found), *_marginal(found), *_conditional(found)):
+    parts = (_opponent, _marginal, _conditional, _people)
+    for part in (one for made in parts for one in made(found)):
         if isinstance(part, str):
             console.print(escape(part), soft_wrap=True)
         else:
@@ -150,6 +153,50 @@ def _conditional(found: Evaluation) -> Iterator[Table | str]:
         lines = _errors("attacked") + gains
         title = f"Conditional: AVs attacked in simulation, {title}"
         yield _table(found, "conditional", title, lines, _SECONDS[:3])
+
+
+def _people(found: Evaluation) -> Iterator[Table | str]:
+    of = partial(found.of, "people", "targets")
+    kinds = [kind for kind in _KINDS if of(group=kind).value]
+    if not kinds:
+        yield "People: there are no pedestrians and no cyclists in these recordings."
+        return
+    groups = [group for kind in kinds for group in (kind, f"moving {kind}")]
+    yield _table(found, "people", "People: least final error, m", [
+        line
+        for group in groups
+        for line in (
+            (f"{group}, {of(group=group).value or 0}", "min_fde", "network", group),
+            ("  modes chosen for each time", "min_fde_of_horizon", "network", group),
+            ("  constant velocity", "min_fde", "constant_velocity", group),
+        )
+    ])  # fmt: skip
+    yield _table(found, "people", "People: mean error up to then, m", [
+        line
+        for kind in kinds
+        for line in (
+            (kind, "min_ade", "network", kind),
+            ("  constant velocity", "min_ade", "constant_velocity", kind),
+        )
+    ])  # fmt: skip
+    yield _table(found, "people", "People: certainty", [
+        line
+        for kind in kinds
+        for line in (
+            (f"{kind}: negative log density, nats", "negative_log_density", "network", kind),
+            ("  share of outcomes inside 50 % of the mass", "inside_50", "network", kind),
+            ("  share of outcomes inside 90 % of the mass", "inside_90", "network", kind),
+        )
+    ], _KNOTS_S)  # fmt: skip
+    lines = [
+        (f"{title if condition else 'constant velocity'}, {group}", "min_fde",
+         condition or "constant_velocity", group)
+        for group in (f"given {kind}" for kind in kinds)
+        if found.pivot("conditional", "min_fde", "given_true", group)
+        for condition, title in ({"": ""} | _CONDITIONS).items()
+    ]  # fmt: skip
+    if lines:
+        yield _table(found, "conditional", "The AV near people: least final error, m", lines)
 
 
 def _errors(group: str) -> list[Line]:

@@ -140,10 +140,11 @@ def weights_of_set(name: str) -> CheckResult:
     good, text = probe(
         "import sys; from deepmf_sumo.errors import DeepmfError\n"
         "from deepmf_sumo.deepmf.networks import weights\n"
-        f"try: folder = weights.load({name!r}).folder; lacking = weights.unchecked(folder)\n"
+        f"try: folder = weights.load({name!r}).folder; lacking = weights.unchecked(folder);"
+        " people = weights.without_people(folder)\n"
         "except DeepmfError as error: sys.exit(' '.join(str(error).split()))\n"
         "print(folder, *([f'({len(lacking)} cards without a digest of their tensors)']"
-        " if lacking else []))"
+        " if lacking else []), *([f'({people})'] if people else []))"
     )
     there = {file.parent.name for home in _homes() for file in home.glob("*/opponent.json")}
     also = f"; also there: {', '.join(sorted(there - {name}))}" if there - {name} else ""

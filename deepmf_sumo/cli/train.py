@@ -12,7 +12,7 @@ from click.core import ParameterSource
 @click.argument(
     "network",
     type=click.Choice(
-        ["opponent", "marginal", "conditional", "strive", "diffscene", "all", "onnx"]
+        ["opponent", "marginal", "conditional", "people", "strive", "diffscene", "all", "onnx"]
     ),
 )
 @click.option(
@@ -54,6 +54,7 @@ from click.core import ParameterSource
 def command(network: str, name: str, **settings: Any) -> None:
     """Train NETWORK, or all three of DeepMF, on recordings of any known format.
 
+    people is a small network of pedestrians and cyclists, which a set may lack.
     strive and diffscene are the motion priors of the baselines of these names; nothing else needs
     them. The scenes at one place in ten are held out for early stopping and temperatures. Sources
     count by their samples, or by the weights given to them. The same command resumes an interrupted

@@ -13,10 +13,12 @@ from deepmf_sumo.deepmf.networks.weights import (
     DIGEST,
     FORMAT_VERSION,
     NETWORKS,
+    PEOPLE,
     Network,
     digest_of,
     listed,
     read_card,
+    without_people,
 )
 from deepmf_sumo.training.fit import checkpoints
 
@@ -30,6 +32,8 @@ LIMITS: Final[dict[Network, str]] = {
     "conditional": "One vehicle given the complete future of one other. It knows the planners that"
     " were attacked in the training data; probabilities are calibrated at 8 s and less accurate at"
     " earlier times.",
+    "people": "Pedestrians and cyclists, 8 s ahead, in traffic like the training data: which of the"
+    " motions of a person without weights, how far off, how sure. It does not know signals.",
     "strive": "For the baseline adversary `strive` only; up to 16 vehicles.",
     "diffscene": "For the baseline adversary `diffscene` only; up to 16 vehicles.",
 }
@@ -60,8 +64,8 @@ def write_card(folder: Path, network: str, card: dict[str, Any]) -> None:
 
 def add_results(folder: Path, results: dict[str, Any]) -> None:
     """Add the results of an evaluation to the cards of the networks."""
-    for network in NETWORKS:
-        if network in results:
+    for network in (*NETWORKS, PEOPLE):
+        if network in results and (folder / f"{network}.json").is_file():
             card = read_card(folder, network)
             card["results"] = {"data": results["data"], **results[network]}
             write_card(folder, network, card)
@@ -80,4 +84,7 @@ def _page(folder: Path) -> str:
             text = json.dumps(value) if isinstance(value, dict | list) else str(value)
             lines.append(f"- {key}: {text}")
         lines.append("")
+    lacking = without_people(folder)
+    if lacking:
+        lines += ["## people", "", f"- {lacking[0].upper()}{lacking[1:]}.", ""]
     return "\n".join(lines)

@@ -8,7 +8,7 @@ import torch
 
 from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import preset_named
-from deepmf_sumo.deepmf.networks.weights import BASELINES, NETWORKS, Network
+from deepmf_sumo.deepmf.networks.weights import BASELINES, NETWORKS, PEOPLE, Network
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.training import config, initial_weights, members, run
 from deepmf_sumo.training.config import Config
@@ -80,7 +80,7 @@ def train_each(
 def _networks(name: str) -> list[Network]:
     if name == "all":
         return list(NETWORKS)
-    return [network for network in (*NETWORKS, *BASELINES) if network == name]
+    return [network for network in (*NETWORKS, PEOPLE, *BASELINES) if network == name]
 
 
 def _training(

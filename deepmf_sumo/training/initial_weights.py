@@ -11,6 +11,7 @@ from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.weights import Network
 from deepmf_sumo.errors import WeightsError
+from deepmf_sumo.training.networks.people import PeopleLayers
 from deepmf_sumo.training.samples.dataset import Progress
 
 MARGINAL: Final = "marginal"
@@ -68,6 +69,8 @@ def check(
 
 def untrained(network: Network, preset: Preset) -> nn.Module:
     """A network of the method or of a baseline, with random weights."""
+    if network == weights.PEOPLE:
+        return PeopleLayers()
     build = reading.build if network in weights.BASELINES else torch_networks.build
     return build(network, preset)
 

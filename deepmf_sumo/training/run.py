@@ -14,7 +14,7 @@ from torch import nn
 
 from deepmf_sumo.baselines.priors.diffscene import DiffusionPrior
 from deepmf_sumo.baselines.priors.strive import MotionPrior
-from deepmf_sumo.deepmf.networks import torch_networks, weights
+from deepmf_sumo.deepmf.networks import people_net, torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
 from deepmf_sumo.deepmf.networks.opponent_net import OpponentNet
@@ -25,9 +25,11 @@ from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import loop
 from deepmf_sumo.training.fit.checkpoints import Checkpoints, LearningCurves
 from deepmf_sumo.training.fit.loop import Loss, Schedule, TrainingOutcome
-from deepmf_sumo.training.networks import clusters, diffscene, opponent, strive, trajectory
+from deepmf_sumo.training.networks import clusters, diffscene, opponent, people, strive, trajectory
+from deepmf_sumo.training.networks.people import PeopleLayers
 from deepmf_sumo.training.samples import feature_cache, graph
 from deepmf_sumo.training.samples import opponent as opponent_samples
+from deepmf_sumo.training.samples import people as people_samples
 from deepmf_sumo.training.samples import trajectory as trajectory_samples
 from deepmf_sumo.training.samples.dataset import (
     Dataset,
@@ -133,6 +135,8 @@ def open_dataset(network: Network, training: Training, report: Progress) -> Data
 def _features(network: Network, preset: Preset) -> Features:
     if network in weights.BASELINES:
         return graph.features()
+    if network == weights.PEOPLE:
+        return people_samples.features_for()
     if network == "opponent":
         return opponent_samples.features_for(preset)
     return trajectory_samples.features_for(preset)
@@ -237,6 +241,8 @@ def _loss(net: nn.Module) -> Loss:
         return strive.loss_of(net)
     if isinstance(net, DiffusionPrior):
         return diffscene.loss_of(net)
+    if isinstance(net, PeopleLayers):
+        return people.loss_of(net)
     assert isinstance(net, OpponentNet)
     return opponent.loss_of(net)
 
@@ -302,5 +308,7 @@ def _fitted(network: Network, net: nn.Module, dataset: Dataset, device: str) -> 
         return {"held_out_errors_m": strive.held_out_errors(net, dataset)}
     if isinstance(net, DiffusionPrior):
         return {"held_out_errors_m": diffscene.held_out_errors(net, dataset)}
+    if isinstance(net, PeopleLayers):
+        return {"inputs": people_net.MEANING}
     assert isinstance(net, OpponentNet)
     return asdict(opponent.calibrate(net, dataset))

@@ -16,7 +16,7 @@ a wandering of 6 degrees; both as Laplace distributions of the same deviation.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -86,7 +86,8 @@ class PeoplePrediction:
         agent_id: the person.
         position_m: (N, 80, 2) in the scene's frame. heading_rad: (N, 80).
         share: (N) sums to 1.
-        width_m: (5, 2) scales of the Laplace kernels along and across at 1, 2, 4, 6, 8 s.
+        width_m: (N, 5, 2) scales of the Laplace kernels along and across at 1, 2, 4, 6, 8 s.
+        along_rad: (N, 5) the direction that is along, at these times.
     """
 
     agent_id: AgentId
@@ -94,6 +95,7 @@ class PeoplePrediction:
     heading_rad: Floats
     share: Floats
     width_m: Floats
+    along_rad: Floats
 
     def modes(self, count: int, *, chosen_at: int | None = None) -> Forecast:
         """At most ``count`` futures of 80 steps each, most likely first.
@@ -118,14 +120,31 @@ class PeoplePrediction:
 
     def log_density(self, position_m: Floats) -> Floats:
         """(K) log density of trajectories (K, 80, 2) at the knots, in log 1/m^10."""
-        knots = list(KNOT_STEPS)
-        away = np.asarray(position_m, float)[:, None, knots] - self.position_m[None, :, knots]
-        along = frames.unit(self.heading_rad[:, knots])
+        kernel = self._kernels(np.asarray(position_m, float)[:, list(KNOT_STEPS)])
+        return _logsumexp(kernel.sum(-1) + np.log(self.share))
+
+    def knot_log_density(self, knots_m: Floats) -> Floats:
+        """(K, 5) log density of places (K, 5, 2) at each knot by itself, in log 1/m^2."""
+        kernel = self._kernels(np.asarray(knots_m, float)).swapaxes(1, 2)
+        return _logsumexp(kernel + np.log(self.share))
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Floats:
+        """(count, 5, 2) places at the knots, drawn from the mixture."""
+        rows = rng.choice(len(self.share), count, p=self.share)
+        place = self.position_m[rows][:, list(KNOT_STEPS)]
+        off = rng.laplace(size=(count, len(KNOT_STEPS), 2)) * self.width_m[rows]
+        along = frames.unit(self.along_rad[rows])
+        left = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+        return np.asarray(place + off[..., :1] * along + off[..., 1:] * left)
+
+    def _kernels(self, knots_m: Floats) -> Floats:
+        """(K, N, 5) log of each motion's kernel at places (K, 5, 2)."""
+        away = knots_m[:, None] - self.position_m[None, :, list(KNOT_STEPS)]
+        along = frames.unit(self.along_rad)
         ahead = np.abs((away * along).sum(-1))
         left = np.abs(away[..., 1] * along[..., 0] - away[..., 0] * along[..., 1])
-        scale, across = self.width_m.T
-        kernel = -ahead / scale - left / across - np.log(4 * scale * across)
-        return _logsumexp(kernel.sum(-1) + np.log(self.share))
+        scale, across = self.width_m[..., 0], self.width_m[..., 1]
+        return np.asarray(-ahead / scale - left / across - np.log(4 * scale * across))
 
     def end_density(self, ends_m: Floats, kernel_m: float) -> Floats:
         """(Q) log density of end points (Q, 2): a Gaussian of width ``kernel_m`` on each motion."""
@@ -147,38 +166,61 @@ def _logsumexp(values: Floats) -> Floats:
     return found
 
 
+class Refinement(Protocol):
+    """What is learned of people: `people_net.PeopleNet`."""
+
+    def refined(self, view: View, untrained: PeoplePrediction) -> PeoplePrediction:
+        """The prediction with other shares, places and widths."""
+        ...
+
+
 class People:
-    """The predictor of people: `predict`."""
+    """The predictor of people: `predict`.
+
+    Args:
+        net: what a set of weights has learned of people; None: as the module says.
+    """
+
+    def __init__(self, net: Refinement | None = None) -> None:
+        self.net = net
 
     def predict(self, view: View, agent_id: AgentId) -> PeoplePrediction:
         """The prediction for a pedestrian or a cyclist. Raises KeyError if it is not in view."""
-        tracks, row = view.history, view.history.row(agent_id)
-        motion = road_user(tracks.kinds[row], tracks.size_m[row]).motion
-        pose = _moving(view, pose_of(view, agent_id))
-        walks = motion.body == "point"
-        z_m = float(tracks.z_m[row, -1])
-        ways = [*(_walked(view.road, pose) if walks else _ridden(view.road, pose, z_m))]
-        paces = [*_paces(pose.speed_mps, motion)]
-        position, heading, share = [], [], []
-        for way in ways:
-            points = polylines.Measured(way.points_m)
-            for pace in paces:
-                where, course = points.at(pace.covered_m)
-                position.append(where)
-                heading.append(np.where(pace.covered_m > 0, course, pose.heading_rad))
-                share.append(way.share * pace.share)
-        mass = np.array(share)
-        return PeoplePrediction(
-            agent_id=agent_id,
-            position_m=np.stack(position),
-            heading_rad=frames.wrap(np.stack(heading)),
-            share=mass / mass.sum(),
-            width_m=_widths(pose.speed_mps),
-        )
+        found = untrained(view, agent_id)
+        return found if self.net is None else self.net.refined(view, found)
 
 
-def _moving(view: View, pose: AgentFrame) -> AgentFrame:
+def untrained(view: View, agent_id: AgentId) -> PeoplePrediction:
+    """The prediction without what is learned. Raises KeyError if the agent is not in view."""
+    tracks, row = view.history, view.history.row(agent_id)
+    motion = road_user(tracks.kinds[row], tracks.size_m[row]).motion
+    pose = moving_pose(view, agent_id)
+    walks = motion.body == "point"
+    z_m = float(tracks.z_m[row, -1])
+    ways = [*(_walked(view.road, pose) if walks else _ridden(view.road, pose, z_m))]
+    paces = [*_paces(pose.speed_mps, motion)]
+    position, heading, share = [], [], []
+    for way in ways:
+        points = polylines.Measured(way.points_m)
+        for pace in paces:
+            where, course = points.at(pace.covered_m)
+            position.append(where)
+            heading.append(np.where(pace.covered_m > 0, course, pose.heading_rad))
+            share.append(way.share * pace.share)
+    mass = np.array(share)
+    return PeoplePrediction(
+        agent_id=agent_id,
+        position_m=np.stack(position),
+        heading_rad=frames.wrap(np.stack(heading)),
+        share=mass / mass.sum(),
+        width_m=np.tile(_widths(pose.speed_mps), (len(mass), 1, 1)),
+        along_rad=np.stack(heading)[:, list(KNOT_STEPS)],
+    )
+
+
+def moving_pose(view: View, agent_id: AgentId) -> AgentFrame:
     """The pose with the speed and the course of the last 0.5 s; at rest with its heading."""
+    pose = pose_of(view, agent_id)
     tracks, row = view.history, view.history.row(pose.agent_id)
     known = np.flatnonzero(tracks.valid[row])[-_MEASURED_STEPS - 1 :]
     moved = tracks.position_m[row, -1] - tracks.position_m[row, known[0]]

@@ -27,16 +27,23 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
+import safetensors.numpy
+from safetensors import SafetensorError
+
 from deepmf_sumo import files as files_module
+from deepmf_sumo.deepmf.networks import people_net
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.opponent import Opponent, OpponentNetwork
 from deepmf_sumo.deepmf.networks.people import People
+from deepmf_sumo.deepmf.networks.people_net import PeopleNet
 from deepmf_sumo.deepmf.networks.predict import Conditional, Marginal, TrajectoryNetwork
 from deepmf_sumo.errors import WeightsError
 
-Network = Literal["opponent", "marginal", "conditional", "strive", "diffscene"]
+Network = Literal["opponent", "marginal", "conditional", "people", "strive", "diffscene"]
 NETWORKS: Final[tuple[Network, ...]] = ("opponent", "marginal", "conditional")
 """Networks of the paper, which every set contains."""
+PEOPLE: Final[Network] = "people"
+"""The network of people, which a set may lack: then `people` predicts them without it."""
 BASELINES: Final[tuple[Network, ...]] = ("strive", "diffscene")
 """Networks of single baselines, which a set may lack."""
 RUNTIME: Final = "DEEPMF_SUMO_RUNTIME"
@@ -55,6 +62,7 @@ _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
     "opponent": ("temperature", "partner_temperature"),
     "marginal": ("temperature",),
     "conditional": ("temperature",),
+    "people": (),
     "strive": (),
     "diffscene": (),
 }
@@ -63,7 +71,7 @@ _TEMPERATURES: Final[dict[Network, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Predictors:
-    """The three predictors of one set of weights, and that of people, which has none.
+    """The three predictors of one set of weights, and that of people.
 
     Attributes:
         name: as given to `load`. folder: None for random weights.
@@ -110,7 +118,41 @@ def load(name: str | Path, computed_by: str | None = None) -> Predictors:
             conditional_card["temperature"],
             marginal=alone if _same_paths(alone.net, conditional) else None,
         ),
+        people=People(people_net_of(folder)),
     )
+
+
+def people_net_of(folder: Path) -> PeopleNet | None:
+    """The network of people of a set; None of a set without one.
+
+    Raises WeightsError where it is not whole.
+    """
+    if not (folder / f"{PEOPLE}.json").is_file():
+        return None
+    card, file = read_card(folder, PEOPLE), folder / f"{PEOPLE}.safetensors"
+    why = ""
+    try:
+        content = files_module.content(file, LARGEST_TENSORS)
+        if card.get(DIGEST) != digest_of(content):
+            why = f" or of another training than its card: its digest is not the card's {DIGEST}"
+        elif card.get("inputs") != people_net.MEANING:
+            why = f": it reads inputs {card.get('inputs')!r:.20}, not {people_net.MEANING}"
+        else:
+            return PeopleNet.checked(safetensors.numpy.load(content))
+    except FileNotFoundError:
+        raise missing(folder, file) from None
+    except OSError as error:
+        why = f" ({files_module.reason(error)})"
+    except (SafetensorError, ValueError, KeyError) as error:
+        why = f" ({error})"
+    raise broken(folder, PEOPLE, f"{file.name} is damaged{why}")
+
+
+def without_people(folder: Path) -> str:
+    """A sentence on a set that has no network of people; empty of a set with one."""
+    if (folder / f"{PEOPLE}.json").is_file():
+        return ""
+    return "pedestrians and cyclists are predicted by published speeds, without trained weights"
 
 
 def _same_paths(*nets: TrajectoryNetwork) -> bool:
@@ -219,7 +261,7 @@ def listed(folder: Path) -> list[str]:
 
     Raises WeightsError where the marginal network's card cannot be read.
     """
-    names: list[str] = [*NETWORKS, *BASELINES]
+    names: list[str] = [*NETWORKS, PEOPLE, *BASELINES]
     if (folder / "marginal.json").is_file():
         count = len(members(folder, read_card(folder, "marginal")))
         after = names.index("marginal") + 1
@@ -343,7 +385,7 @@ def cached_predictors(name: str | Path, computed_by: str | None = None) -> Predi
     folder = find(name).resolve()
     files = [
         file  # members of a network have names that begin like its own
-        for network in NETWORKS
+        for network in (*NETWORKS, PEOPLE)
         for suffix in ("safetensors", "onnx", "json")
         for file in sorted(folder.glob(f"{network}*.{suffix}"))
     ]

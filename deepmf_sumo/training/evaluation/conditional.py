@@ -34,11 +34,15 @@ ATTACKED: Final = "attacked"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictedPair:
-    """A target, the partner whose future is given, and the predictions of the marginal network."""
+    """A target, the partner whose future is given, and the predictions of the marginal network.
+
+    ``group``: that the pair is of besides the target's role.
+    """
 
     target: ForecastTarget
     partner: Future
     marginals: Marginals
+    group: str | None = None
 
 
 class ConditionalFigures:
@@ -105,7 +109,8 @@ class ConditionalFigures:
             conditions[SHUFFLED] = shuffled
         prediction = conditional.predict(target.view, target.agent_id, planner=target.planner)
         found = self._forecasts(prediction, conditions)
-        groups = (ALL, target.role, *((ATTACKED,) if target.planner else ()))
+        more = [ATTACKED] if target.planner else []
+        groups = (ALL, target.role, *more, *([pair.group] if pair.group else []))
         for condition, forecasts in ({MARGINAL: pair.marginals.forecasts} | found).items():
             self._add_errors(target, forecasts, condition, groups)
         self.samples.add(pair.marginals.log_likelihood, None, MARGINAL, groups)

@@ -31,6 +31,7 @@ from deepmf_sumo.training.evaluation.opponent import (
     PARTNER_HEAD,
     OpponentFigures,
 )
+from deepmf_sumo.training.evaluation.people import PeopleFigures
 from deepmf_sumo.training.evaluation.table import (
     NETWORK,
     OF_MODES,
@@ -69,7 +70,7 @@ def evaluate(
     report: Callable[[str], None],
     candidates: int = max(MODES),
 ) -> Evaluation:
-    """Measure all three networks.
+    """Measure all three networks, and the predictor of people.
 
     Targets are the labelled vehicles of each scene; in a scene without labels, the AV and all
     vehicles that move within 50 m of it. In a simulated attack the only target is the AV, and no
@@ -113,6 +114,7 @@ class _Measured:
         self.opponent = OpponentFigures()
         self.marginal = MarginalFigures(modes, fitted)
         self.conditional = ConditionalFigures(modes)
+        self.people = PeopleFigures()
         self.scenes = self.attacked = self.labelled = 0
 
     def add(self, scene: Scene) -> None:
@@ -120,19 +122,27 @@ class _Measured:
         attacked = scene.source.dataset == ROLLOUT
         if not attacked:
             self.opponent.add(self.predictors.opponent, scene, view)
-        pairs = []
+        self.people.add(self.predictors.people, scene, view)
+        pairs, alone = [], None
         for target in targets(scene, view):
             found = self.marginal.add(self.predictors.marginal, target)
+            alone = found if target.role == "av" else alone
             if target.partner is not None:
                 pairs.append(PredictedPair(target=target, partner=target.partner, marginals=found))
         self.conditional.add(self.predictors.conditional, pairs)
+        self.people.add_reaction(self.predictors.conditional, scene, view, alone)
         self.scenes += 1
         self.attacked += attacked
         self.labelled += len(scene.interest)
 
     def figures(self) -> Figures:
         self.conditional.finish(self.predictors.conditional)
-        return self.opponent.figures() | self.marginal.figures() | self.conditional.figures()
+        return (
+            self.opponent.figures()
+            | self.marginal.figures()
+            | self.conditional.figures()
+            | self.people.figures(self.predictors.conditional)
+        )
 
 
 def _nothing(data: Sequence[Path], refused: RefusedRecords) -> str:

@@ -1,6 +1,6 @@
 """Scene -> the view of a predictor at a step, and the future after it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -24,6 +24,7 @@ MIN_FUTURE_STEPS: Final = 30
 """Targets are known for at least 3 s."""
 MIN_ATTACKED_STEPS: Final = 10
 """An attacked AV is known for at least 1 s: its motion just before a contact matters most."""
+PEOPLE: Final = ("pedestrian", "cyclist")
 MIN_DISTANCE_M: Final = 2.0
 """Vehicles that move less are not targets, except the AV and labelled agents."""
 _FARTHEST_M: Final = 30.0
@@ -111,6 +112,22 @@ def targets(scene: Scene, step: int) -> Iterator[Future]:
             yield future
 
 
+def people(scene: Scene, step: int) -> Iterator[Future]:
+    """Futures of pedestrians and cyclists, whether they move or not: known at 1 s or later.
+
+    A person that stands still is a target, too: that it may go is what is to be predicted.
+    """
+    tracks = scene.tracks
+    for row, agent_id in enumerate(tracks.ids):
+        if tracks.kinds[row] not in PEOPLE or not tracks.valid[row, step]:
+            continue
+        if agent_id == scene.av_id or jumps(tracks, row):
+            continue
+        future = future_of(scene, agent_id, step)
+        if future.valid[MIN_ATTACKED_STEPS - 1 :].any():
+            yield future
+
+
 def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
     """The future that matters most to the agent: the labelled partner's, else the closest.
 
@@ -122,6 +139,22 @@ def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
         if other and _known(scene, other[0], step):
             return _filled(scene, future_of(scene, other[0], step), step)
     others = [each for each in _movers(scene, step) if each.agent_id != agent_id]
+    return _closest(scene, agent_id, step, others, _FARTHEST_M)
+
+
+def nearest_person(scene: Scene, agent_id: AgentId, step: int, within_m: float) -> Future | None:
+    """The future, without gaps, of the person that comes closest to an agent, as `partner_of`."""
+    others = [
+        _filled(scene, each, step)
+        for each in people(scene, step)
+        if _known(scene, each.agent_id, step)
+    ]
+    return _closest(scene, agent_id, step, others, within_m)
+
+
+def _closest(
+    scene: Scene, agent_id: AgentId, step: int, others: Sequence[Future], within_m: float
+) -> Future | None:
     if not others:
         return None
     own = _filled(scene, future_of(scene, agent_id, step), step).position_m[4::5]
@@ -130,7 +163,7 @@ def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
     ways = np.stack([each.position_m[4::5] for each in others])
     apart = np.linalg.norm(own[:, None] - ways[:, None], axis=-1) + late  # (A, 16, 16)
     least = apart.min(axis=(1, 2))
-    return others[int(least.argmin())] if least.min() < _FARTHEST_M else None
+    return others[int(least.argmin())] if least.min() < within_m else None
 
 
 def local_future(view: View, agent_id: AgentId, future: Future) -> Floats:

@@ -70,9 +70,10 @@ def test_the_density_at_a_knot_sums_to_one(knot):
     """Over a grid of places at one knot, where the others are exact: the others' peaks are left."""
     found = People().predict(person("pedestrian", 0.0, -4.0, 0.0, 1.4), "p")
     one = replace(
-        found, position_m=found.position_m[:1], heading_rad=found.heading_rad[:1], share=np.ones(1)
-    )
-    grid = np.arange(-12.0, 12.0, 1 / 5) * float(found.width_m[knot].max())
+        found, position_m=found.position_m[:1], heading_rad=found.heading_rad[:1],
+        share=np.ones(1), width_m=found.width_m[:1], along_rad=found.along_rad[:1],
+    )  # fmt: skip
+    grid = np.arange(-12.0, 12.0, 1 / 5) * float(found.width_m[0, knot].max())
     step = float(grid[1] - grid[0])
     offset = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     there = np.repeat(one.position_m, len(offset), 0)
@@ -80,8 +81,8 @@ def test_the_density_at_a_knot_sums_to_one(knot):
     mass = np.exp(one.log_density(there)).sum() * step**2
     peak = float(np.exp(one.log_density(one.position_m))[0])
     others = mass / peak  # the integral of this knot's kernel over its own peak
-    assert others == pytest.approx(4 * np.prod(found.width_m[knot]), rel=0.05)
-    assert peak == pytest.approx(1 / np.prod(4 * found.width_m.prod(1)))
+    assert others == pytest.approx(4 * np.prod(found.width_m[0, knot]), rel=0.05)
+    assert peak == pytest.approx(1 / np.prod(4 * found.width_m[0].prod(1)))
 
 
 def test_who_walks_most_likely_walks_on():
