@@ -73,6 +73,9 @@ def add_results(folder: Path, results: dict[str, Any]) -> None:
 
 def _page(folder: Path) -> str:
     lines = [f"# Weights '{folder.name}'", ""]
+    lacking = without_people(folder)
+    if lacking:
+        lines += [f"{lacking[0].upper()}{lacking[1:]}.", ""]
     for network in listed(folder):
         card = read_card(folder, network)
         lines += [f"## {network}", ""]
@@ -84,7 +87,4 @@ def _page(folder: Path) -> str:
             text = json.dumps(value) if isinstance(value, dict | list) else str(value)
             lines.append(f"- {key}: {text}")
         lines.append("")
-    lacking = without_people(folder)
-    if lacking:
-        lines += ["## people", "", f"- {lacking[0].upper()}{lacking[1:]}.", ""]
     return "\n".join(lines)

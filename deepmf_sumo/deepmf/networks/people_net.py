@@ -10,9 +10,10 @@ The network is a few matrices (`FILE`.safetensors), computed by numpy: installat
 have it, too. Nothing changes where its last layer is zero, which training starts from.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -97,8 +98,12 @@ class PeopleNet:
         self.tensors = {name: np.asarray(value, np.float32) for name, value in tensors.items()}
 
     @classmethod
-    def checked(cls, tensors: Mapping[str, Singles]) -> "PeopleNet":
-        """The network. Raises ValueError where tensors are missing, unlike or not finite."""
+    def read(cls, content: bytes) -> "PeopleNet":
+        """The network in a safetensors file.
+
+        Raises ValueError where that is damaged, or tensors are missing, unlike or not finite.
+        """
+        tensors = _tensors_in(content)
         first = tensors.get("own.bias")
         wanted = shapes(0 if first is None else len(first))
         for name, shape in wanted.items():
@@ -145,6 +150,28 @@ class PeopleNet:
             share=share / share.sum(),
             width_m=np.maximum(untrained.width_m * np.exp(wider), LEAST_M),
         )
+
+
+def _tensors_in(content: bytes) -> dict[str, Singles]:
+    """The tensors of a safetensors file: eight bytes with the size of a JSON header, then data.
+
+    Installations without torch have no reader of this format. Raises ValueError.
+    """
+    data = 8 + int.from_bytes(content[:8], "little")
+    found = {}
+    try:
+        header: dict[str, Any] = json.loads(content[8:data])
+        for name, each in header.items():
+            if name != "__metadata__":
+                begin, end = (data + int(offset) for offset in each["data_offsets"])
+                values = np.frombuffer(content[begin:end], _STORED[each["dtype"]])
+                found[name] = values.reshape(each["shape"]).astype(np.float32)
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"no safetensors: {error!r:.80}") from None
+    return found
+
+
+_STORED: Final = {"F16": "<f2", "F32": "<f4"}
 
 
 def shapes(width: int = 64) -> dict[str, tuple[int, ...]]:

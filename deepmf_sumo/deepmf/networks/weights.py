@@ -27,9 +27,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
-import safetensors.numpy
-from safetensors import SafetensorError
-
 from deepmf_sumo import files as files_module
 from deepmf_sumo.deepmf.networks import people_net
 from deepmf_sumo.deepmf.networks.config import Preset
@@ -138,12 +135,12 @@ def people_net_of(folder: Path) -> PeopleNet | None:
         elif card.get("inputs") != people_net.MEANING:
             why = f": it reads inputs {card.get('inputs')!r:.20}, not {people_net.MEANING}"
         else:
-            return PeopleNet.checked(safetensors.numpy.load(content))
+            return PeopleNet.read(content)
     except FileNotFoundError:
         raise missing(folder, file) from None
     except OSError as error:
         why = f" ({files_module.reason(error)})"
-    except (SafetensorError, ValueError, KeyError) as error:
+    except ValueError as error:
         why = f" ({error})"
     raise broken(folder, PEOPLE, f"{file.name} is damaged{why}")
 

@@ -173,6 +173,25 @@ def test_damaged_tensors(folder, change, expected):
         weights.people_net_of(folder)
 
 
+@pytest.mark.parametrize("cut", [0, 4, 9, 200, -1])
+def test_a_file_that_ends_early(folder, cut):
+    content = (folder / "people.safetensors").read_bytes()[:cut]
+    (folder / "people.safetensors").write_bytes(content)
+    card = json.loads((folder / "people.json").read_text())
+    card[weights.DIGEST] = weights.digest_of(content)
+    (folder / "people.json").write_text(json.dumps(card))
+    with pytest.raises(WeightsError, match=r"people\.safetensors is damaged"):
+        weights.people_net_of(folder)
+
+
+def test_tensors_are_those_that_another_reader_finds(folder):
+    content = (folder / "people.safetensors").read_bytes()
+    expected = load_file(folder / "people.safetensors")
+    found = PeopleNet.read(content).tensors
+    assert found.keys() == expected.keys()
+    assert all((found[name] == expected[name].astype(np.float32)).all() for name in found)
+
+
 def test_tensors_of_another_card_or_other_inputs(folder):
     card = json.loads((folder / "people.json").read_text())
     (folder / "people.json").write_text(json.dumps(card | {"inputs": 99}))
