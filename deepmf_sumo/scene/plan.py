@@ -51,10 +51,10 @@ class Heat(Frozen):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpponentScores(Frozen):
-    """Suitability of each surrounding vehicle as an opponent.
+    """Suitability of each surrounding road user as an opponent.
 
     Attributes:
-        ids: (A) candidates: vehicles in range, not the AV, not parked.
+        ids: (A) candidates: vehicles in range, not the AV, not parked; people, if they may attack.
         logits: (A) before the sigmoid.
         partner_logits: (A) of the head trained on labelled partners.
     """
@@ -105,7 +105,8 @@ class PlanReason(Frozen):
         milliseconds: wall time by part.
         origin: (N1) source of each candidate: ``mode`` of the prediction, ``goal`` near the AV's
             predicted path, ``aim`` at the wanted side of it, ``stop`` as the law demands, ``tail``
-            of the last plan; empty if all are modes.
+            of the last plan; of people also ``wait``, ``halt``, ``return``
+            (`deepmf.off_lane_paths`); empty if all are modes.
         wanted_sector: the AV's sector to hit, 0..7; None: any.
         sector: (N1, N2) sector in which a pair first overlaps, -1 if it does not; None if
             none is wanted.
