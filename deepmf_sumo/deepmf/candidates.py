@@ -21,7 +21,7 @@ first 3 s, and the weight c (`settings.Settings.comfort`; 0 as published):
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -328,6 +328,49 @@ def impact_sectors(
     return found
 
 
+class _Before(NamedTuple):
+    """K pairs that collide, a step before they first overlap; all (K), in the AV's frame.
+
+    Attributes:
+        row, mode: of the pair. ahead_m: of the candidate's centre. along_m, across_m: gaps of the
+            boxes in both directions. turn_rad: of the candidate's heading against the AV's.
+    """
+
+    row: Ints
+    mode: Ints
+    ahead_m: Floats
+    along_m: Floats
+    across_m: Floats
+    turn_rad: Floats
+
+    @classmethod
+    def of(
+        cls,
+        candidates: Futures,
+        reactions: Sequence[Forecast],
+        opponent_size_m: Floats,
+        av_size_m: Floats,
+        collision_step: Floats,
+    ) -> "_Before":
+        """Of (N1, N2) first steps of overlap."""
+        row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])
+        step = np.maximum(collision_step[row, mode].astype(int) - 1, 0)
+        heading = _stacked([each.futures.heading_rad for each in reactions])[row, mode, step]
+        apart = (
+            candidates.position_m[row, step]
+            - (_stacked([each.futures.position_m for each in reactions])[row, mode, step])
+        )
+        turn = frames.difference(candidates.heading_rad[row, step], heading)
+        forward = frames.unit(heading)
+        ahead = (apart * forward).sum(axis=1)
+        left = forward[:, 0] * apart[:, 1] - forward[:, 1] * apart[:, 0]
+        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+        (length, width), (av_length, av_width) = opponent_size_m, av_size_m
+        along = np.abs(ahead) - (av_length + length * cos + width * sin) / 2
+        across = np.abs(left) - (av_width + length * sin + width * cos) / 2
+        return cls(row, mode, ahead, along, across, turn)
+
+
 def rear_ends(
     candidates: Futures,
     reactions: Sequence[Forecast],
@@ -341,22 +384,26 @@ def rear_ends(
     the metric `accident_type`, and headings differ by less than 45 degrees.
     """
     found = np.zeros(collision_step.shape, bool)
-    row, mode = np.nonzero(collision_step < candidates.position_m.shape[1])
-    step = np.maximum(collision_step[row, mode].astype(int) - 1, 0)
-    heading = _stacked([each.futures.heading_rad for each in reactions])[row, mode, step]
-    apart = (
-        candidates.position_m[row, step]
-        - (_stacked([each.futures.position_m for each in reactions])[row, mode, step])
-    )
-    turn = frames.difference(candidates.heading_rad[row, step], heading)
-    forward = frames.unit(heading)
-    ahead = (apart * forward).sum(axis=1)
-    left = forward[:, 0] * apart[:, 1] - forward[:, 1] * apart[:, 0]
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    (length, width), (av_length, av_width) = opponent_size_m, av_size_m
-    along = np.abs(ahead) - (av_length + length * cos + width * sin) / 2
-    across = np.abs(left) - (av_width + length * sin + width * cos) / 2
-    found[row, mode] = (ahead < 0) & (along >= across) & (np.abs(turn) < np.pi / 4)
+    at = _Before.of(candidates, reactions, opponent_size_m, av_size_m, collision_step)
+    behind = (at.ahead_m < 0) & (at.along_m >= at.across_m)
+    found[at.row, at.mode] = behind & (np.abs(at.turn_rad) < np.pi / 4)
+    return found
+
+
+def off_front(
+    candidates: Futures,
+    reactions: Sequence[Forecast],
+    opponent_size_m: Floats,
+    av_size_m: Floats,
+    collision_step: Floats,
+) -> Bools:
+    """(N1, N2) whether the candidate meets the AV elsewhere than at its front.
+
+    A step before they first overlap it is not ahead of the front bumper.
+    """
+    found = np.zeros(collision_step.shape, bool)
+    at = _Before.of(candidates, reactions, opponent_size_m, av_size_m, collision_step)
+    found[at.row, at.mode] = (at.ahead_m < 0) | (at.along_m < 0)
     return found
 
 
@@ -424,7 +471,8 @@ def shortlisted(
     counted = met.collides
     if "no_rear_end" in without:
         sizes = situation.size_m, situation.av_size_m
-        counted = counted & ~rear_ends(own.forecast.futures, alike, *sizes, met.collision_step)
+        ends = off_front if situation.person else rear_ends
+        counted = counted & ~ends(own.forecast.futures, alike, *sizes, met.collision_step)
     if "on_road" in without:
         counted = counted & ~leaves_road(situation, own, met.collision_step.min(axis=1))[:, None]
     if "with_traffic" in without:

@@ -18,6 +18,7 @@ from deepmf_sumo.deepmf.candidates import (
     References,
     against_traffic,
     leaves_road,
+    off_front,
     rear_ends,
 )
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
@@ -28,6 +29,7 @@ from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.judge.avoidability.av_path import VehicleState
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
 from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
+from deepmf_sumo.judge.avoidability.intention import intends_since
 from deepmf_sumo.scene import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear
@@ -198,6 +200,9 @@ class Fair(Constraint):
     both have driven since the first plan is part of what it had to avoid. A plan knows no future:
     where the opponent would have been is its likeliest prediction here, while the judgement takes
     what happens without the attack (`avoidability.counterfactual`). So the two may differ.
+
+    To people the driver of `avoidability.intention` reacts, not before they show their intention.
+    Whether the AV sees them past others is not predicted here; the judgement knows it.
     """
 
     name = "fair"
@@ -286,7 +291,11 @@ def fair_candidates(
     """
     view = situation.view
     now = _state(view, view.av_id)
-    ahead = av.futures.position_m[int(np.argmax(av.probability))]
+    best = int(np.argmax(av.probability))
+    ahead = av.futures.position_m[best]
+    since = None
+    if situation.person:
+        since = _understood(situation, futures, av.futures.heading_rad[best], ahead, driven)
     return avoidable(
         now,
         situation.av_size_m,
@@ -299,6 +308,39 @@ def fair_candidates(
         av_along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
         past=None if driven is None else driven.past,
         expected_m=None if driven is None else driven.expected_m(futures.position_m.shape[1]),
+        by="vru" if situation.person else "any",
+        since=since,
+    )
+
+
+def _understood(
+    situation: Situation,
+    futures: Futures,
+    av_heading_rad: Floats,
+    av_m: Floats,
+    driven: EpisodeHistory | None,
+) -> Ints:
+    """(N) steps since ``driven`` began from which on a driver can act on futures of a person."""
+    touch = boxes.overlap(
+        futures.position_m,
+        futures.heading_rad,
+        situation.size_m,
+        av_m,
+        av_heading_rad,
+        situation.av_size_m,
+    )
+    contact = np.where(touch.any(axis=1), touch.argmax(axis=1), touch.shape[1] - 1)
+    view, past = situation.view, PastPoses.none() if driven is None else driven.past
+    here = [view.history.position_m[view.history.row(one), -1]
+            for one in (situation.opponent_id, view.av_id)]  # fmt: skip
+    own_m = np.concatenate([past.opponent[:, :2], here[:1]])
+    own_m = np.broadcast_to(own_m, (len(contact), *own_m.shape))
+    return intends_since(
+        view.road,
+        np.concatenate([own_m, futures.position_m], axis=1),
+        np.concatenate([past.av[:, :2], here[1:], av_m]),
+        contact + own_m.shape[1],
+        view.dt_s,
     )
 
 
@@ -398,8 +440,8 @@ class WithTraffic(Constraint):
 class NoRearEnd(Constraint):
     """The candidate does not drive into the AV's rear end from behind.
 
-    A vehicle that follows can do so anywhere, so that it says little about the road. For people it
-    is the same: who walks or rides after a slow AV into its rear end.
+    A vehicle that follows can do so anywhere, so that it says little about the road. A person does
+    not run into its sides either: the AV's front meets it.
     """
 
     name = "no_rear_end"
@@ -411,7 +453,8 @@ class NoRearEnd(Constraint):
         self, situation: Situation, own: Candidates, reactions: Sequence[Forecast], pairs: Pairs
     ) -> Bools:
         sizes = situation.size_m, situation.av_size_m
-        behind = rear_ends(own.forecast.futures, reactions, *sizes, pairs.collision_step)
+        ends = off_front if situation.person else rear_ends
+        behind = ends(own.forecast.futures, reactions, *sizes, pairs.collision_step)
         mass = (pairs.reaction_probability * behind).sum(axis=1)
         allowed: Bools = mass <= _BEHIND_SHARE * pairs.mass
         return allowed

@@ -5,9 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepmf_sumo.deepmf.candidates import Candidates, against_traffic, leaves_road, off_road
+from deepmf_sumo.deepmf.candidates import (
+    Candidates,
+    against_traffic,
+    leaves_road,
+    off_front,
+    off_road,
+)
+from deepmf_sumo.deepmf.constraints import fair_candidates
 from deepmf_sumo.deepmf.traffic_rules import Law
+from deepmf_sumo.judge.avoidability.intention import intends_since
 from deepmf_sumo.scene import Forecast, Futures, Lane, RoadMap
+from deepmf_sumo.scene.geometry import boxes
 
 from tests.deepmf.test_off_lane_paths import ahead, situation_of
 from tests.support.one_attacker import plan_of
@@ -134,3 +143,63 @@ def test_every_constraint_judges_people(constraint, person):
     assert reason.allowed[constraint].any()
     chosen = reason.chosen
     assert reason.allowed[constraint][chosen] or not reason.collides[chosen].any()
+
+
+def since_of(*ways, contact=79):
+    av_m = ahead(10.0).futures.position_m[0]
+    steps = np.full(len(ways), contact)
+    return intends_since(straight_road(), np.stack(ways), av_m, steps, 0.1).tolist()
+
+
+def test_a_walker_shows_its_intention_on_the_road_and_a_runner_before():
+    """The road ends 2.25 m beside the middle of its lane: 1.75 m at 1.4 m/s take 1.25 s."""
+    walks = np.stack([np.full(80, 50.0), -4.0 + 1.4 * (STEPS - 0.1)], -1)
+    runs = np.stack([np.full(80, 50.0), -9.0 + 2.5 * (STEPS - 0.1)], -1)
+    along = np.stack([30 + 2.5 * STEPS, np.full(80, -4.0)], -1)
+    assert since_of(walks, runs, along, contact=40) == [13, 1, 40]
+
+
+def test_an_intention_that_is_taken_back_does_not_count():
+    y = np.where(STEPS < 1, -1.0, np.where(STEPS < 4, -5.0, -1.0))
+    there = np.stack([np.full(80, 50.0), y], -1)
+    assert since_of(there) == [39]
+    assert since_of(there, contact=8) == [0]
+
+
+def test_a_step_out_is_fair_only_if_the_driver_for_people_can_still_stop():
+    """At 10 m/s: 0.75 s, a ramp of 0.6 s to 7.6 m/s2, and the stop: some 17 m from the first step.
+
+    The box that walks at 1.4 m/s is on the road 0.6 s before it is in the AV's corridor.
+    """
+    situation = situation_of(("pedestrian", 50, -4.0, UP, 0.0))
+    ways = [across(50.0, begin, 1.4, -4.0) for begin in (0.0, 2.9, 3.4)]
+    own = own_of(*ways)
+    found = fair_candidates(situation, own.forecast.futures, situation.unattacked).tolist()
+    assert found == [True, False, True]  # the last one comes after the AV
+
+
+@pytest.mark.parametrize(
+    ("x", "begin", "beside"), [(20.0, 0.9, False), (20.0, 1.35, True), (20.0, 1.5, True)]
+)
+def test_a_person_that_runs_into_the_side_is_told_from_one_that_the_front_hits(x, begin, beside):
+    """At 10 m/s the front is at 20 m after 1.76 s, and the rear after 2.24 s.
+
+    The body of 0.6 m touches the corridor of 2 m after 0.7 m of 2 m, the AV's side then.
+    """
+    situation = situation_of(("pedestrian", x, -2.0, UP, 0.0))
+    own = own_of(across(x, begin, 1.4, -2.0))
+    step = np.array([[float(_first_touch(situation, own))]])
+    assert step[0, 0] < 80
+    found = off_front(
+        own.forecast.futures, [ahead(10.0)], situation.size_m, situation.av_size_m, step
+    )
+    assert bool(found[0, 0]) == beside
+
+
+def _first_touch(situation, own):
+    futures, av = own.forecast.futures, situation.unattacked.futures
+    touch = boxes.overlap(
+        futures.position_m[0], futures.heading_rad[0], situation.size_m,
+        av.position_m[0], av.heading_rad[0], situation.av_size_m,
+    )  # fmt: skip
+    return touch.argmax() if touch.any() else 80

@@ -184,6 +184,7 @@ def avoidable(
     av_along_m: Floats | None = None,
     past: PastPoses | None = None,
     expected_m: Floats | None = None,
+    since: Ints | None = None,
 ) -> Bools:
     """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
 
@@ -204,6 +205,8 @@ def avoidable(
         expected_m: (H + 1 + K, 2) where the opponent would have been without the attack, from the
             first step of ``past`` on, nan where that is not known. The driver then takes over at
             the first sign of the attack, as in `judge` (`encounter.onset_step`).
+        since: (N) steps, counted from the first one of ``past``, before which the driver does not
+            take over: a person has not shown its intention.
     """
     past = past or PastPoses.none()
     av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
@@ -222,6 +225,8 @@ def avoidable(
     start = np.zeros(futures, np.int64)
     if expected_m is not None:
         start = _onsets(path, approach, driven_m, expected_m)
+    if since is not None:
+        start = np.clip(since, start, approach.steps - 1)
     avoided = np.full(futures, by == "all")
     for name in _QUICKEST if by in ("any", "all") else (by,):
         open_ = np.flatnonzero(avoided == (by == "all"))  # the others are decided

@@ -94,6 +94,37 @@ def shown_since(
     return contact
 
 
+def intends_since(
+    road_map: RoadMap, position_m: Floats, av_m: Floats, contact: Ints, dt_s: float
+) -> Ints:
+    """(N) steps from which on futures of a person show its intention, without a break.
+
+    It is `shown_since` for motions that are planned, without the line of sight.
+
+    Args:
+        road_map: of the futures.
+        position_m: (N, K, 2) of the person.
+        av_m: (K, 2) of the AV, at the same steps.
+        contact: (N) steps at which they touch: the last ones that count. Where nothing is shown
+            before, it is these.
+        dt_s: of a step.
+    """
+    futures, steps = position_m.shape[:2]
+    av_there = road.on_road(road_map, av_m)
+    shows = road.on_road(road_map, position_m.reshape(-1, 2)).reshape(futures, steps) | ~av_there
+    before = np.maximum(np.arange(steps) - round(_PACE_S / dt_s), 0)
+    seconds = np.maximum(np.arange(steps) - before, 1) * dt_s
+    was_m = position_m[:, before]
+    fast = np.hypot(*np.moveaxis(position_m - was_m, -1, 0)) / seconds > WALKING_MPS
+    row, step = np.nonzero(fast & ~shows)
+    if len(row):
+        away, was = (_to_road_m(road_map, each[row, step]) for each in (position_m, was_m))
+        shows[row, step] = (was - away) / seconds[step] > WALKING_MPS
+    hidden = ~shows & (np.arange(steps) < contact[:, None])
+    last = steps - 1 - hidden[:, ::-1].argmax(axis=1)
+    return np.asarray(np.minimum(np.where(hidden.any(axis=1), last + 1, 0), contact))
+
+
 def in_sight_for(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> bool:
     """Whether the AV sees a person at all steps (K)."""
     av = rollout.tracks.row(rollout.av_id)
