@@ -269,6 +269,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
         task = self._task((options or {}).get("scene"))
         task = replace(task, spec=task.spec.model_copy(update={"seed": number}))
         self._run_id = task.run_id
+        _refuse_made(task.spec)
         self.case = episode.make_case(task, cache_folder())
         self.view = self._begin(task, self.case)
         return self._observer.observe(self.view), self._info(self.view)
@@ -404,3 +405,13 @@ def _accelerated(view: View, action: Floats) -> Command:
 
 if ID not in _gymnasium.registry:
     _gymnasium.register(ID, entry_point="deepmf_sumo.gym:AttackEnv")
+
+
+def _refuse_made(spec: Spec) -> None:
+    """People are drawn in an episode of their own, for which this process has no SUMO to spare."""
+    source = spec.source
+    if isinstance(source, specs.FromNetwork) and source.people.made:
+        raise UsageError(
+            f"spec '{spec.name}': key 'source.people': made people are for `deepmf-sumo run` and"
+            " `attack`; leave it out here."
+        )

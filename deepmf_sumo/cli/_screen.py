@@ -136,7 +136,7 @@ def table(results: Sequence[Result], summary: dict[str, Any], out: Path) -> None
         grid.add_row(*map(escape, row), style="red" if bad else "")
     console.print(grid)
     console.print(escape(tables.totals(summary)), soft_wrap=True)
-    if told := tables.made_note(results):
+    for told in filter(None, (tables.made_note(results), tables.nobody_note(results))):
         console.print(escape(told), soft_wrap=True)
     for line in tables.meanings(summary):
         console.print(escape(f"  {line}"), soft_wrap=True)

@@ -66,8 +66,27 @@ def made_note(results: Iterable[Result]) -> str:
     attacks = sum(one.get("opponent") in made_ids(one) for one in runs)
     people = sum(len(one["made"]) for one in runs)
     return (
-        f"{counted(people, 'person', 'people')} in {counted(len(runs), 'run')} are not in the"
-        f" demand: they were made where people could be; {counted(attacks, 'attack')} by them"
+        f"made people, who are not in the demand but put where people could be: {people} in"
+        f" {counted(len(runs), 'run')}; {counted(attacks, 'attack')} by them"
+    )
+
+
+def nobody_note(results: Iterable[Result]) -> str:
+    """What to do where only people may attack and nobody was there; empty elsewhere."""
+    alone = [
+        one
+        for one in results
+        if one["status"] == "ok"
+        and one["settings"]["adversary"].get("attackers") == "people"
+        and one["network"]
+        and one["opponent"] is None
+        and not one.get("made")
+    ]
+    if not alone:
+        return ""
+    return (
+        f"nobody attacked in {counted(len(alone), 'run')}: no pedestrian and no cyclist could;"
+        " source.people: made (--set source.people=made) puts people where they could be"
     )
 
 

@@ -11,7 +11,7 @@ from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report.page.columns import run_row
 from deepmf_sumo.report.page.replay import lights, main_places, packed, reasons, replay
 from deepmf_sumo.report.page.roads import PageRoads, element
-from deepmf_sumo.report.table import OUTCOMES, made_people, supporters
+from deepmf_sumo.report.table import OUTCOMES, made_ids, made_people, supporters
 from deepmf_sumo.results import artifacts, stored
 from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.findings import tried
@@ -70,7 +70,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: PageRoads) -> RunPage:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
     elif run.status != "ok":
         failure = failure_of(run)
-    said = (table.get("error", ""), missing, before, *_broken(result))
+    said = (table.get("error", ""), missing, before, _made(result), *_broken(result))
     note = "; ".join(part for part in said if part)
     return RunPage(
         row=run_row(run, result, place, note),
@@ -128,6 +128,12 @@ def _element(run: Run, road: RoadMap | None) -> str:
         return ""
     pose: Floats = run.contact.pose_first
     return element(road, pose[:2], float(pose[2]))
+
+
+def _made(result: Result | None) -> str:
+    if result and result.get("opponent") in made_ids(result):
+        return "the opponent was made: it is not in the demand"
+    return ""
 
 
 def _facts(run: Run, result: Result | None) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def _of(one: Attacked) -> Iterator[Subject]:
     if one.kind:
         yield Subject("conflict", "kind of conflict", one.kind)
     if one.made:
-        yield Subject("conflict", _MADE, one.opponent_kind)
+        yield Subject("conflict", _MADE, f"made {one.opponent_kind}")
     for rule in _at_stake(one):
         yield Subject("rule", "rule", rule)
     yield Subject("place", "movement", one.began.movement)
