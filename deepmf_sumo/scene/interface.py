@@ -136,6 +136,8 @@ class _Situation:
             drives the traffic; None before it is simulated, and where it cannot be. What a vehicle
             would have done says `avoidability.counterfactual`, not this alone.
         made: people who were put there, see `MadeRoadUser`; the same in every episode of the case.
+        in_sight: whether the planner's views lack road users whom the AV cannot see past vehicles
+            and buildings (`geometry.sight`); policies see all.
     """
 
     name: str
@@ -149,6 +151,7 @@ class _Situation:
     only: tuple[AgentId, ...] | None = None
     unattacked: Tracks | None = None
     made: tuple[MadeRoadUser, ...] = ()
+    in_sight: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -46,6 +46,7 @@ def of_document(document: Document) -> Spec:
     spec: Spec = checked(Spec, document.values, (), document, context)
     _check_plugin("planners", "planner", spec.planner, document)
     _check_plugin("adversaries", "adversary", spec.adversary, document)
+    _check_sight(spec, document)
     if spec.opponents == "in_turn" and not takes_turns(spec):
         raise SpecError(
             f"{document.place(('opponents',))}: key 'opponents': in_turn is for an adversary that"
@@ -53,6 +54,22 @@ def of_document(document: Document) -> Spec:
             " Leave it at one."
         )
     return spec
+
+
+def _check_sight(spec: Spec, document: Document) -> None:
+    """SUMO's own model asks no view, so that nothing can be hidden from it."""
+    lane = spec.planner.settings.get("perception", "lane") == "lane"
+    if spec.av_sees == "all" or not (spec.planner.name == "sumo" or (_idm(spec) and lane)):
+        return
+    cure = "set planner.perception to corridor" if _idm(spec) else "choose another planner"
+    raise SpecError(
+        f"{document.place(('av_sees',))}: key 'av_sees': in_sight is for planners that decide by"
+        f" what they are shown; SUMO's own model sees everybody. Leave it at all, or {cure}."
+    )
+
+
+def _idm(spec: Spec) -> bool:
+    return spec.planner.name == "idm"
 
 
 def takes_turns(spec: Spec) -> bool:

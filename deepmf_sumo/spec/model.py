@@ -463,6 +463,11 @@ class Spec(Strict):
     )
     traffic: Literal["log", "sumo"] = Field(description="what drives the other vehicles")
     planner: Plugin = Plugin(name="idm")
+    av_sees: Literal["all", "in_sight"] = Field(
+        default="all",
+        description="whom the planner gets to see: all road users, or those that neither vehicles"
+        " nor buildings hide",
+    )
     profile: ProfileName = Field(
         default=profiles.DEFAULT, description="the kind of attack, see profiles; of version 3"
     )
@@ -510,10 +515,11 @@ class Spec(Strict):
     def resolved(self) -> dict[str, Any]:
         """Plain values with absolute paths, as they are written to a result folder.
 
-        Keys of turns are left out for one opponent. Versions 1 and 2 have none of version 3: such
-        specs equal those of earlier versions.
+        Keys of turns are left out for one opponent, and what the AV sees where it sees all.
+        Versions 1 and 2 have none of version 3: such specs equal those of earlier versions.
         """
         without = {"turns"} if self.opponents == "one" else set()
+        without |= {"av_sees"} if self.av_sees == "all" else set()
         if self.version < 3:
             without |= {"profile"} | ({"opponents"} if self.opponents == "one" else set())
         return self.model_dump(mode="json", exclude=without)

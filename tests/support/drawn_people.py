@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.scene import View
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.road_users import ROAD_USERS
 
@@ -74,3 +75,30 @@ def episode(av, person, others=(), road=None, alone=None):
     without = case_of({**whole, "b": before}).scene.tracks
     case = replace(in_traffic(case_of()), road=road or straight_road(), unattacked=without)
     return Episode(rollout, case)
+
+
+def view_at(found, step):
+    """What a policy sees at a step of an episode: the last second."""
+    rollout = found.rollout
+    return View(
+        step=step,
+        dt_s=0.1,
+        av_id="av",
+        history=rollout.tracks.window(max(step - 10, 0), step + 1),
+        road=found.case.road,
+        signals={},
+        steps_left=STEPS - 1 - step,
+    )
+
+
+def _runner_from_behind_a_truck():
+    person = Drawn(walks(40.0, -7.7, (9, 3.0)))
+    return episode(
+        np.concatenate([np.arange(STEPS)[:, None] * 0.4, np.zeros((STEPS, 2))], 1),
+        person,
+        [Drawn(stands(33.4, -4.1), "vehicle", TRUCK)],
+    )
+
+
+STREET_VIEW = _runner_from_behind_a_truck()
+"""An AV at 4 m/s, a runner from behind a parked truck far ahead; they do not meet."""

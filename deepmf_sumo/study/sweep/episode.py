@@ -237,6 +237,11 @@ def _as_before() -> Iterator[None]:
 
 def make_case(task: Task, cache: Path) -> Case:
     """The situation of a task. Raises ReaderError, ConversionError or SimulationError."""
+    case = _situation(task, cache)
+    return replace(case, in_sight=True) if task.spec.av_sees == "in_sight" else case
+
+
+def _situation(task: Task, cache: Path) -> Case:
     spec, source = task.spec, task.spec.source
     steps = round(spec.duration_s / DT_S)
     if isinstance(source, FromNetwork):

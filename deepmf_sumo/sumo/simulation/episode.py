@@ -17,6 +17,7 @@ from deepmf_sumo.sumo.simulation import log_only, log_world, traffic_world
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.sumo.simulation.frame import Frame
 from deepmf_sumo.sumo.simulation.gui import GuiWindow
+from deepmf_sumo.sumo.simulation.in_sight import InSight
 from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
 from deepmf_sumo.sumo.simulation.sumo_api import Backend, SumoApi
 from deepmf_sumo.sumo.simulation.world import World
@@ -108,12 +109,13 @@ def run(
         record = _begun(case, world, policy, rng)
     ended: Literal["time", "contact", "av_gone"] = "time"
     leaders, lights = [], []
+    sight = InSight() if case.in_sight else None
     while record.step < record.end:
         with _timed(seconds, "policy"):
             record.replan()
         with _timed(seconds, "planner"):
             view = record.view(world.av.path())
-            command = planner.act(view)
+            command = planner.act(view if sight is None else sight.limited(view))
         with _timed(seconds, "simulation"):
             attackers = record.schedule.attackers
             frame = world.step(command, record.schedule.advance(record.step + 1))

@@ -92,7 +92,9 @@ class Watch:
 
 
 def run(world, policy=None, observers=(), steps=20):
-    case = SimpleNamespace(av_id="av", road=straight_road(), duration_steps=steps, turns=None)
+    case = SimpleNamespace(
+        av_id="av", road=straight_road(), duration_steps=steps, turns=None, in_sight=False
+    )
     rng = np.random.default_rng(0)
     return episode.run(case, world, Planner(), policy, rng, observers)
 
