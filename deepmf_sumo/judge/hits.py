@@ -13,7 +13,7 @@ import numpy as np
 from deepmf_sumo.judge import crossings
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_of
-from deepmf_sumo.judge.avoidability.intention import is_person
+from deepmf_sumo.judge.avoidability.intention import emerged_from, is_person
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
 from deepmf_sumo.judge.crossings import JUNCTION_M
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
@@ -59,6 +59,9 @@ class Hit:
         opponent: "car", "truck or bus" or another class of road users.
         ran_red: whether the opponent passed a red light.
         stood: whether the opponent stood in the step before the contact.
+        person: whether it is a pedestrian or a cyclist.
+        emerged: what hid a person from the AV just before the onset: "a standing car"; else empty.
+        on_crossing: whether a person was on a pedestrian crossing.
     """
 
     meeting: Meeting
@@ -76,6 +79,9 @@ class Hit:
     opponent: str
     ran_red: bool
     stood: bool
+    person: bool = False
+    emerged: str = ""
+    on_crossing: bool = False
 
     @property
     def av_crosses(self) -> bool:
@@ -149,6 +155,9 @@ def described(
         opponent=road_user(kind, tracks.size_m[meeting.other]).noun,
         ran_red=ran_red,
         stood=bool(tracks.speed_mps[meeting.other, max(contact.step - 1, 0)] <= STANDING_MPS),
+        person=person,
+        emerged=emerged_from(rollout, road, meeting.other, onset) if person else "",
+        on_crossing=person and road is not None and crossings.on_crossing(road, meeting),
     )
 
 

@@ -22,6 +22,9 @@ _CONTRIVED: Final = {
     "off_road": "the {other} left the road",
     "infeasible": "no {other} moves like that",
     "touched_another": "one of the two had touched another road user before",
+    "low_impact_speed": "the AV was slower than 5 km/h at the impact",
+    "ran_into_side": "the {other} ran into the AV's side",
+    "ran_into_rear": "the {other} ran into the AV's rear end",
     "supporter_touched": "the road user that supported it touched somebody",
 }
 """Why a hit says little about the AV, by the reasons of `judge.ladder`."""
@@ -29,6 +32,8 @@ _ALSO: Final = {
     "ran_light": " The {other} ran a red light.",
     "sped": " The {other} drove far above the limit.",
     "braked_hard": " The {other} braked harder than drivers do.",
+    "crossed_on_red": " The AV's light was green.",
+    "rode_against": " The {other} came against the traffic.",
 }
 """Errors of the opponent that the kind of conflict does not tell."""
 _CAREFUL: Final[dict[ConflictType, str]] = {
@@ -50,6 +55,9 @@ _WAITING: Final = {
 """Where it is the AV that turns, merges or changes lanes, a careful driver waits."""
 _WAITED: Final = {"turn": "turn {turn}", "merging": "merge"}
 """What an AV that stood waited for."""
+_WHO: Final = {"bicycle": "cyclist"}
+"""Who rides what the opponent is called."""
+_REACTS: Final = "0.75 s after the danger showed"
 _DID: Final = {
     "stopped": "had stopped",
     "accelerated": "accelerated",
@@ -113,7 +121,8 @@ def sentence(group: FailureGroup) -> str:
     also = " The AV ran a red light." * (one.av_error == "ran_light")
     error = "ran_light" if one.ran_red else one.opponent_error
     also += _ALSO.get(error, "").format(other=one.opponent)
-    return f"{_happened(one)}{_judged(one)}.{also}"
+    happened = _happened_with_person(one) if one.person else ""
+    return f"{happened or _happened(one)}{_judged(one)}.{also}"
 
 
 def summary(groups: Iterable[FailureGroup]) -> str:
@@ -186,6 +195,26 @@ def _happened(one: Failure) -> str:
     return by_other[name] if name == "rear-end" else f"{by_other[name]}, and the AV {did}"
 
 
+def _happened_with_person(one: Failure) -> str:
+    """Of a person who did not ride along the road as vehicles do; else empty."""
+    other, did = _WHO.get(one.opponent, one.opponent), _did(one)
+    behind = f" from behind {one.emerged}" * bool(one.emerged)
+    if one.av_error == "struck_standing":
+        return f"The AV {did} and ran into a {other} who stood on the road"
+    if one.av_error == "left_road":
+        return f"The AV {did}, left the road and hit a {other} there"
+    if one.on_crossing:
+        came = f"crossed on a pedestrian crossing from {_from(one)}"
+    elif one.opponent_error in {"stepped_out", "rode_out"}:
+        verb = "stepped" if one.opponent_error == "stepped_out" else "rode"
+        came = f"{verb} onto the road" if behind else f"{verb} onto the road from {_from(one)}"
+    elif one.av_error or one.opponent_error:
+        return ""
+    else:
+        came = f"came from {_from(one)}"
+    return f"The AV hit a {other} who {came}{behind}; it {did}"
+
+
 def _did(one: Failure) -> str:
     if one.action != "braked":
         return _DID[one.action or "held speed"]
@@ -219,6 +248,8 @@ def _advice(one: Failure) -> str:
         return "no driver could have avoided it"
     if by == ("search",):
         return "only braking or steering immediately would have avoided it"
+    if "vru" in by:
+        return f"a driver who brakes {_REACTS} would not have hit the {one.opponent}"
     assert one.conflict is not None
     moves = one.turned == "AV" and one.action != "stood" and not one.strayed
     did = "waited" if moves and one.conflict in _WAITING else _CAREFUL[one.conflict]

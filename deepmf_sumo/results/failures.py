@@ -65,6 +65,9 @@ class Failure:
     opponent: str = "car"
     ran_red: bool = False
     stood: bool = False
+    person: bool = False
+    emerged: str = ""
+    on_crossing: bool = False
     reasons: tuple[str, ...] = ()
     av_error: str = ""
     opponent_error: str = ""

@@ -35,6 +35,7 @@ from deepmf_sumo.judge.avoidability.reference_drivers import (
 )
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, Tracks
 from deepmf_sumo.scene.geometry import road, sight
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.scene.road_users import road_user
 
 WALKING_MPS: Final = 1.36 + 2 * 0.24
@@ -42,6 +43,8 @@ WALKING_MPS: Final = 1.36 + 2 * 0.24
 _PACE_S: Final = 0.5
 _NEAR_M: Final = 20.0
 """Lanes farther away are not looked for."""
+_EMERGED_S: Final = 1.0
+"""Who was hidden longer ago has been in sight since."""
 _NOWHERE: Final = RoadMap(lanes={})
 
 
@@ -123,6 +126,23 @@ def intends_since(
     hidden = ~shows & (np.arange(steps) < contact[:, None])
     last = steps - 1 - hidden[:, ::-1].argmax(axis=1)
     return np.asarray(np.minimum(np.where(hidden.any(axis=1), last + 1, 0), contact))
+
+
+def emerged_from(rollout: Rollout, road_map: RoadMap | None, row: int, onset: int) -> str:
+    """What hid a person from the AV just before a step: ``a standing car``; empty for nothing."""
+    tracks, known = rollout.tracks, road_map or _NOWHERE
+    av = tracks.row(rollout.av_id)
+    for step in range(onset - 1, max(onset - 1 - round(_EMERGED_S / rollout.dt_s), -1), -1):
+        if not (tracks.valid[row, step] and tracks.valid[av, step]):
+            break
+        found = sight.hidden_by(tracks, step, av, row, known)
+        if found == "building":
+            return "a building"
+        if found is not None:
+            noun = road_user(tracks.kinds[found], tracks.size_m[found]).noun
+            stands = tracks.speed_mps[found, step] <= STANDING_MPS
+            return f"a {'standing ' * bool(stands)}{noun}"
+    return ""
 
 
 def in_sight_for(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> bool:

@@ -16,7 +16,7 @@ Simplifications: people hide nobody; windows of vehicles are no windows; there i
 field of view or range of sensors; bridges and ground hide nothing.
 """
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -104,6 +104,28 @@ def shares(
     )
     found[own & there] = 1.0
     return found
+
+
+def hidden_by(
+    tracks: Tracks, step: int, av_row: int, row: int, road: RoadMap
+) -> int | Literal["building"] | None:
+    """What hides most of an agent from the AV at a step: the row of a vehicle, or a building.
+
+    None where the agent is visible, or is hidden by several of which none hides half of it.
+    """
+    if shares(tracks, step, av_row, road, only=row)[row] >= VISIBLE:
+        return None
+    clear = RoadMap(lanes={})
+    alone = {
+        other: float(shares(tracks.select([av_row, row, other]), step, 0, clear, only=1)[1])
+        for other in np.flatnonzero(tracks.valid[:, step]).tolist()
+        if other not in {av_row, row}
+    }
+    most = min(alone, key=alone.__getitem__, default=None)
+    if most is not None and alone[most] < VISIBLE:
+        return most
+    rest = shares(tracks.select([av_row, row]), step, 0, road, only=1)[1]
+    return "building" if rest < VISIBLE else None
 
 
 def _with_heights(tracks: Tracks) -> Floats:
