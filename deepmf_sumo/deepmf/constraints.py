@@ -329,19 +329,21 @@ def _understood(
         av_heading_rad,
         situation.av_size_m,
     )
-    contact = np.where(touch.any(axis=1), touch.argmax(axis=1), touch.shape[1] - 1)
+    meets = touch.any(axis=1)
     view, past = situation.view, PastPoses.none() if driven is None else driven.past
     here = [view.history.position_m[view.history.row(one), -1]
             for one in (situation.opponent_id, view.av_id)]  # fmt: skip
     own_m = np.concatenate([past.opponent[:, :2], here[:1]])
-    own_m = np.broadcast_to(own_m, (len(contact), *own_m.shape))
-    return intends_since(
+    own_m = np.broadcast_to(own_m, (len(touch), *own_m.shape))
+    since = intends_since(
         view.road,
         np.concatenate([own_m, futures.position_m], axis=1),
         np.concatenate([past.av[:, :2], here[1:], av_m]),
-        contact + own_m.shape[1],
+        np.where(meets, touch.argmax(axis=1) + own_m.shape[1], 0),
         view.dt_s,
     )
+    # Who does not touch the AV that keeps on gives the driver no reason to act.
+    return np.where(meets, since, touch.shape[1] + own_m.shape[1])
 
 
 def _state(view: View, agent_id: AgentId) -> VehicleState:

@@ -108,24 +108,25 @@ def intends_since(
         road_map: of the futures.
         position_m: (N, K, 2) of the person.
         av_m: (K, 2) of the AV, at the same steps.
-        contact: (N) steps at which they touch: the last ones that count. Where nothing is shown
-            before, it is these.
+        contact: (N) steps at which they touch: only steps before count. Where nothing is shown
+            before, it is these. 0 where they do not touch.
         dt_s: of a step.
     """
-    futures, steps = position_m.shape[:2]
-    av_there = road.on_road(road_map, av_m)
-    shows = road.on_road(road_map, position_m.reshape(-1, 2)).reshape(futures, steps) | ~av_there
-    before = np.maximum(np.arange(steps) - round(_PACE_S / dt_s), 0)
-    seconds = np.maximum(np.arange(steps) - before, 1) * dt_s
-    was_m = position_m[:, before]
-    fast = np.hypot(*np.moveaxis(position_m - was_m, -1, 0)) / seconds > WALKING_MPS
-    row, step = np.nonzero(fast & ~shows)
-    if len(row):
-        away, was = (_to_road_m(road_map, each[row, step]) for each in (position_m, was_m))
-        shows[row, step] = (was - away) / seconds[step] > WALKING_MPS
-    hidden = ~shows & (np.arange(steps) < contact[:, None])
-    last = steps - 1 - hidden[:, ::-1].argmax(axis=1)
-    return np.asarray(np.minimum(np.where(hidden.any(axis=1), last + 1, 0), contact))
+    steps = position_m.shape[1]
+    row, step = np.nonzero(np.arange(steps) < contact[:, None])
+    shows = np.ones(position_m.shape[:2], bool)
+    here_m = position_m[row, step]
+    there = road.on_road(road_map, here_m) | ~road.on_road(road_map, av_m)[step]
+    before = np.maximum(step - round(_PACE_S / dt_s), 0)
+    seconds = np.maximum(step - before, 1) * dt_s
+    was_m = position_m[row, before]
+    fast = np.hypot(*(here_m - was_m).T) / seconds > WALKING_MPS
+    look = np.flatnonzero(fast & ~there)
+    away, was = (_to_road_m(road_map, each[look]) for each in (here_m, was_m))
+    there[look] = (was - away) / seconds[look] > WALKING_MPS
+    shows[row, step] = there
+    last = steps - 1 - (~shows)[:, ::-1].argmax(axis=1)
+    return np.asarray(np.where(shows.all(axis=1), 0, last + 1))
 
 
 def emerged_from(rollout: Rollout, road_map: RoadMap | None, row: int, onset: int) -> str:
