@@ -1,6 +1,6 @@
 """Control of persons in SUMO's traffic: placing them at poses, and letting SUMO walk them on.
 
-How SUMO 1.28 treats a person that a client moves (`docs/reference/moved-people.md` has figures):
+How SUMO 1.28 treats a person that a client moves (`studies/notebook/moved-people.md`):
 
 - It belongs to one lane, and cars of that lane see it; those of all lanes see who is on a crossing.
   With keepRoute 2 it belongs to the nearest lane for pedestrians, whatever it stands on, and cars

@@ -67,6 +67,10 @@ class Bodies:
         """What an agent is, whatever its class in SUMO says: a made person is a vehicle there."""
         self._known[agent] = body
 
+    def __contains__(self, agent: AgentId) -> bool:
+        """Whether an agent has been asked for."""
+        return agent in self._known
+
     def ask(self, agent: AgentId) -> Body:
         """Of an agent that is present, or has been asked for before."""
         body = self._known.get(agent)
@@ -120,15 +124,18 @@ class TrafficReader:
     def states(self) -> dict[AgentId, State]:
         """As `read`, in SUMO's terms: for a reader of many steps, which converts all together."""
         states: dict[AgentId, State] = {}
+        bodies, bent = self.bodies, self.bodies.bent
         for domain, name, agent in self._present():
             x_m, y_m, z_m = domain.getPosition3D(name)
-            if not somewhere((x_m, y_m)):
+            if x_m <= _NOWHERE_M or y_m <= _NOWHERE_M:
                 continue
-            self.bodies.ask(agent)
-            speed_mps = max(0.0, domain.getSpeed(name))  # far below 0 where SUMO has none yet
-            state = (x_m, y_m, domain.getAngle(name), speed_mps, z_m)
-            if agent in self.bodies.bent:
-                states |= self.bodies.long.boxes(agent, state)
+            if agent not in bodies:
+                bodies.ask(agent)
+            speed_mps = domain.getSpeed(name)
+            # far below 0 where SUMO has none yet
+            state = (x_m, y_m, domain.getAngle(name), speed_mps if speed_mps > 0 else 0.0, z_m)
+            if agent in bent:
+                states |= bodies.long.boxes(agent, state)
             else:
                 states[agent] = state
         return states
@@ -136,7 +143,9 @@ class TrafficReader:
     def _present(self) -> Iterator[tuple[Any, str, AgentId]]:
         """SUMO's domain and id of all candidates, and their agents."""
         vehicle, person = self._api.vehicle, self._api.person
-        yield from ((vehicle, name, name) for name in sorted(vehicle.getIDList()))
+        for name in sorted(vehicle.getIDList()):
+            yield vehicle, name, name
+        rides_in, agent_of = person.getVehicle, agent_ids.of_person
         for name in sorted(person.getIDList()):
-            if on_foot(person.getVehicle(name)):
-                yield person, name, agent_ids.of_person(name)
+            if not rides_in(name):
+                yield person, name, agent_of(name)
