@@ -77,6 +77,8 @@ class Footways:
         lanes = [(edge, lane) for edge in net.edges.values() for lane in edge.lanes if _long(lane)]
         beside = _edges_beside(net)
         self._open = {edge_of(lane) for lane in walked}
+        self._ends = {one: (net.edges[one].start, net.edges[one].end) for one in self._open}
+        self._length_m = {lane.edge: lane.length_m for lane in walked.values()}
         self._footways = _Lanes(list(walked.values()))
         self._crossings = _Lanes([one for edge, one in lanes if edge.function == "crossing"])
         self._corners = _Corners(net)
@@ -105,6 +107,14 @@ class Footways:
     def closed(self, lane: str) -> bool:
         """Whether people may walk on no lane of a lane's edge; one inside a junction is none."""
         return bool(lane) and not lane.startswith(":") and edge_of(lane) not in self._open
+
+    def end_ahead_m(self, edge: str, following: str) -> float:
+        """How far along an edge its end is from which SUMO takes a walk to lead to another edge.
+
+        It is the far end where that belongs to both, and else the near one.
+        """
+        far = self._ends[edge][1] in self._ends.get(following, ())
+        return max(self._length_m[edge] - _END_M, 0.0) if far else 0.0
 
     def walked(self, at_m: Floats, z_m: float) -> str:
         """The footway of a point (2,), on which SUMO walks a person on; empty off all."""

@@ -154,8 +154,8 @@ class PersonControl:
         SUMO replaces an edge of the way by the one onto which it moves the person. In a longer way
         that may be the next edge, and SUMO ends where people may not walk on that.
         """
-        (stay,) = self._api.simulation.findIntermodalRoute(home, home)
-        self._replace_walk(name, stay, home, 0.0)
+        for stay in self._api.simulation.findIntermodalRoute(home, home)[:1]:
+            self._replace_walk(name, stay, home, 0.0)
 
     def after_step(self) -> None:
         """Forget those that have gone, and those that SUMO has walked on."""
@@ -240,6 +240,12 @@ class PersonControl:
         elif edge in one.edges:
             found[0].edges = list(one.edges[one.edges.index(edge) :])
             detail = "SUMO walks it on"
+        way = list(found[0].edges)
+        if len(way) > 1:
+            # SUMO chooses the direction where a walk begins, and begins one on the edge of the
+            # walk before where that was: so there is one on another edge between the two
+            self._hold(_name(agent), way[1])
+            along_m = self._footways.end_ahead_m(way[0], way[1])
         self._replace_walk(_name(agent), found[0], edge, along_m)
         return detail
 

@@ -198,6 +198,33 @@ def test_from_anywhere_it_gets_to_its_destination_and_nothing_jumps(folder, corn
         libsumo.close()
 
 
+@pytest.mark.parametrize("along_m", [40.0, 150.0])
+def test_a_way_that_turns_back_on_the_same_street_does_not_jump(folder, along_m):
+    """SUMO could begin such a walk in both directions, and prepares the other one."""
+    pavements.build(folder, pavements.walker("p", "wm mw", along_m, arrival=100.0))
+    net = folder / "pavements.net.xml"
+    libsumo.start([*START, "-n", str(net), "-r", str(folder / "pavements.rou.xml")])
+    try:
+        takeover = Takeover(libsumo, [], footways=lambda: footways_of(net))
+        libsumo.simulationStep(1.0)
+        at = libsumo.person.getPosition("p")
+        for x, y, heading in way(at, (at[0], 195.2), (at[0], 191.1)):
+            pose = Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=1.4)
+            takeover.place(1, "person p", pose, 0.0)
+            libsumo.simulationStep()
+            takeover.after_step()
+        takeover.hand_back(1, "person p")
+        moved = []
+        libsumo.simulationStep()
+        while "p" in libsumo.person.getIDList() and len(moved) < 3500:
+            moved.append(libsumo.person.getPosition("p"))
+            libsumo.simulationStep()
+    finally:
+        libsumo.close()
+    assert len(moved) < 3500, "it has arrived"
+    assert np.hypot(*np.diff(moved, axis=0).T).max() < 2.5
+
+
 RIDE = (
     '<person id="p" type="walker" depart="0" departPos="110"><ride from="wm" to="me" lines="bus"/>'
     "</person>"
