@@ -20,7 +20,7 @@ from deepmf_sumo.scene import (
     Source,
     Tracks,
 )
-from deepmf_sumo.scene.scene import AgentKind
+from deepmf_sumo.scene.road_users import usual_size_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,14 +142,13 @@ def signals_of(rollout: Rollout, road: RoadMap) -> Signals | None:
     )
 
 
-_HEIGHT_M: Final[dict[AgentKind, float]] = {
-    "vehicle": 1.5, "cyclist": 1.7, "pedestrian": 1.7, "other": 1.0,
-}  # fmt: skip
+_CAR_M: Final = 1.5
+"""Height of a vehicle where a run does not know it, as of earlier versions."""
 
 
 def known_heights(tracks: Tracks) -> Floats:
     """(A) heights of the boxes; a usual one where a run does not know it, for a box has one."""
-    usual = [_HEIGHT_M[kind] for kind in tracks.kinds]
+    usual = [_CAR_M if kind == "vehicle" else usual_size_m(kind)[2] for kind in tracks.kinds]
     return np.where(tracks.size_m[:, 2] > 0, tracks.size_m[:, 2], usual)
 
 
