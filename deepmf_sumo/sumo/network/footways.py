@@ -26,6 +26,8 @@ _INSIDE_M: Final = 0.3
 _AWAY_M: Final = 0.6
 """It does not come to the ends of one, where SUMO may take it for a person of a walking area."""
 _END_M: Final = 0.2
+_CORNER_M: Final = 0.3
+"""So close to a walking area SUMO may take a person for one of it, whatever lane is asked for."""
 
 
 class Footing(NamedTuple):
@@ -80,6 +82,7 @@ class Footways:
         self._ends = {one: (net.edges[one].start, net.edges[one].end) for one in self._open}
         self._length_m = {lane.edge: lane.length_m for lane in walked.values()}
         self._footways = _Lanes(list(walked.values()))
+        self._names = frozenset(walked)
         self._crossings = _Lanes([one for edge, one in lanes if edge.function == "crossing"])
         self._corners = _Corners(net)
         self._roads = _Lanes([one for edge, one in lanes if not edge.function])
@@ -99,9 +102,10 @@ class Footways:
         where it is put onto a lane inside a junction before or behind which people may not walk.
         """
         at = np.asarray(at_m, float)
-        found = self._crossings.under(at, z_m) or self._footways.under(at, z_m)
-        if found is None and not self._corners.cover(at):
-            found = self._roads.under(at, z_m) or self._junctions.under(at, z_m)
+        found = self._crossings.under(at, z_m)
+        if found is None and not self._corners.near(at):
+            found = self._footways.under(at, z_m) or self._roads.under(at, z_m)
+            found = found or self._junctions.under(at, z_m)
         return "" if found is None or _at_its_end(found, at) else found.id
 
     def closed(self, lane: str) -> bool:
@@ -117,9 +121,9 @@ class Footways:
         return max(self._length_m[edge] - _END_M, 0.0) if far else 0.0
 
     def walked(self, at_m: Floats, z_m: float) -> str:
-        """The footway of a point (2,), on which SUMO walks a person on; empty off all."""
-        found = self._footways.under(np.asarray(at_m, float), z_m)
-        return "" if found is None else found.id
+        """The footway as whose SUMO takes a person at a point (2,); empty off all."""
+        found = self.lane_at(at_m, z_m)
+        return found if found in self._names else ""
 
     def nearest(self, at_m: Floats, reach_m: float, z_m: float) -> Footing | None:
         """Where the nearest footway is reached from a point (2,); None if none is near."""
@@ -148,8 +152,9 @@ class _Corners:
         areas = [shapely.buffer(shapely.Polygon(ring), 0.0) for ring in rings]
         self._tree = shapely.STRtree(np.array(areas, object))
 
-    def cover(self, at_m: Floats) -> bool:
-        return bool(len(self._tree.query(shapely.Point(*at_m), predicate="intersects")))
+    def near(self, at_m: Floats) -> bool:
+        place = shapely.Point(*at_m)
+        return bool(len(self._tree.query(place, predicate="dwithin", distance=_CORNER_M)))
 
 
 def _walked(edge: NetEdge) -> NetLane | None:
