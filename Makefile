@@ -115,6 +115,7 @@ womd-weights: $(READY)  ## train the set `womd` (stays in .weights/; its data's 
 	$(TRAIN) marginal --set members=2 --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 	$(MAKE) reactions SCENES=$(WOMD)/train OUT=.cache/womd-reactions WEIGHTS=open
 	$(TRAIN) conditional --set precision=auto $(WOMD_DATA) --out .weights/womd $(WOMD_SET)
+	$(TRAIN) people --data $(WOMD)/train --out .weights/womd $(WOMD_SET)
 	test ! -d $(WOMD)/val || $(RUN) evaluate $(WOMD)/val --weights .weights/womd --card
 
 LIGHT = .weights/womd-light

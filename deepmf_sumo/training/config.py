@@ -25,7 +25,7 @@ DEFAULTS: Final[dict[Network, dict[str, Any]]] = {
     },
     "marginal": {"steps": 4000},
     "conditional": {"steps": 4000, "rate": 1.5e-3, "precision": "fp32"},
-    "people": {"steps": 4000, "weight_decay": 0.05, "ema": 0.998, "precision": "fp32"},
+    "people": {"steps": 3000, "weight_decay": 0.05, "ema": 0.995, "precision": "fp32"},
     "strive": {"steps": 2000, "batch": 32, "ema": 0.99, "precision": "fp32"},
     "diffscene": {"steps": 4000, "ema": 0.998, "precision": "fp32"},
 }
