@@ -74,7 +74,8 @@ def test_a_pedestrian_at_rest_starts_towards_any_side(side):
     assert tracked.bent_m[0] < 0.1
     gone = tracked.position_m[0, -1] - start.position_m
     np.testing.assert_allclose(gone / np.hypot(*gone), frames.unit(side), atol=1e-2)
-    turned = np.abs(frames.difference(tracked.heading_rad[0, 1:], tracked.heading_rad[0, :-1]))
+    faced = np.append(start.heading_rad, tracked.heading_rad[0])
+    turned = np.abs(frames.difference(faced[1:], faced[:-1]))
     assert turned.max() <= 0.5 + 1e-9
     walks = tracked.speed_mps[0] > 1.0
     off = np.abs(frames.difference(tracked.heading_rad[0, walks], side))
@@ -118,9 +119,9 @@ def test_a_faster_cyclist_is_not_slowed_down_at_once_and_gets_no_faster():
 @pytest.mark.parametrize(("radius", "follows"), [(2.0, True), (0.6, False)])
 def test_a_cyclist_turns_as_narrowly_as_its_handlebar_allows(radius, follows):
     """The narrowest circle has the radius 0.3 * 1.8 m / sin(0.45) = 1.24 m; a car's has 4.4 m."""
-    start = begin("cyclist", 1.8)
-    turned = np.minimum(1.8 * STEPS / radius, np.pi)
-    after = np.maximum(1.8 * STEPS - np.pi * radius, 0.0)
+    start = begin("cyclist", 1.2)
+    turned = np.minimum(1.2 * STEPS / radius, np.pi)
+    after = np.maximum(1.2 * STEPS - np.pi * radius, 0.0)
     way = np.stack([radius * np.sin(turned) - after, radius * (1 - np.cos(turned))], -1)
     tracked = track((start.position_m + way)[None], start, RIDES.planned.rows(1))
     assert (tracked.bent_m[0] < 0.7) == follows

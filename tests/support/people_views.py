@@ -8,7 +8,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import policy as policy_module
 from deepmf_sumo.deepmf.networks.people import People
 
-from tests.support.predictor_doubles import Doubles, view_of
+from tests.support.predictor_doubles import Doubles, NearestScores, view_of
 
 SIZES = {
     "vehicle": (4.8, 2.0, 1.5),
@@ -18,10 +18,19 @@ SIZES = {
 }
 
 
+class VehicleScores(NearestScores):
+    """As the opponent network, which scores vehicles alone."""
+
+    def score(self, view):
+        rows = [row for row, kind in enumerate(view.history.kinds) if kind == "vehicle"]
+        return super().score(replace(view, history=view.history.select(rows)))
+
+
 @dataclass
 class PeopleDoubles(Doubles):
     """The predictors of people are real ones: they have no weights."""
 
+    opponent: VehicleScores = field(default_factory=VehicleScores)
     people: People = field(default_factory=People)
 
 
