@@ -203,3 +203,50 @@ def _first_touch(situation, own):
         av.position_m[0], av.heading_rad[0], situation.av_size_m,
     )  # fmt: skip
     return touch.argmax() if touch.any() else 80
+
+
+def plan_under(person, **values):
+    """The first plan of a person against the AV of these tests, and its view."""
+    view = people_view({"av": ("vehicle", 0, 0, 0, 10.0), "p": person})
+    made = people_policy(opponent="p", rule="likeliest", **values)
+    made.reset(view, np.random.default_rng(0))
+    return plan_of(made, view)
+
+
+def test_who_may_not_run_into_the_side_is_not_planned_to():
+    """Beside the AV it can only reach the side; without the constraint it does."""
+    beside = ("pedestrian", 3.0, -1.9, UP, 1.4)
+    free = plan_under(beside).reason
+    bound = plan_under(beside, constraints=["no_rear_end"]).reason
+    assert free.collides[free.chosen].any()
+    assert not bound.collides[bound.chosen].any()
+
+
+@pytest.mark.parametrize(
+    ("person", "accel", "fastest"),
+    [(("pedestrian", 45, -6, UP, 0.0), 1.6, 3.5), (("cyclist", 60, -6, UP, 0.0), 1.2, 8.3)],
+)
+def test_a_plan_keeps_to_the_limits_of_its_class_and_to_the_settings(person, accel, fastest):
+    for most in (accel, 0.7):
+        plan = plan_under(person, accel_mps2=3.5 if most == accel else most)
+        speed = np.append(person[4], plan.speed_mps)
+        assert np.diff(speed).max() / 0.1 <= most + 1e-6
+        assert speed.max() <= fastest
+        assert np.diff(speed).max() / 0.1 > 0.4 * most  # it does set off
+
+
+def test_a_pedestrian_s_modes_are_those_of_people():
+    """A car cannot start at a right angle; a person's modes go to all sides."""
+    reason = plan_under(("pedestrian", 45, -6, 0.0, 0.0)).reason
+    modes = [row for row, origin in enumerate(reason.origin) if origin == "mode"]
+    ends = reason.candidates.futures.position_m[modes, -1] - np.array([45, -6])
+    assert ends[:, 1].max() > 2.0
+    assert np.abs(ends[:, 0][ends[:, 1] > 2.0]).min() < 1.0
+
+
+def test_a_person_that_walks_into_a_car_that_has_stopped_was_not_hit_by_it():
+    """The drivers of vehicles count that as a contact, the one for people does not."""
+    situation = situation_of(("pedestrian", 45, 0.0, np.pi, 1.4))
+    towards = np.stack([45.0 - 1.4 * STEPS, np.zeros(80)], -1)
+    own = own_of(towards, heading=np.pi)
+    assert fair_candidates(situation, own.forecast.futures, situation.unattacked)[0]
