@@ -155,11 +155,11 @@ def test_who_leaves_the_road_meets_people_there():
 
 
 def test_a_driver_who_stands_before_the_person_comes_was_able_to_avoid_it():
-    """The person goes on into the car that has stopped."""
-    person = walks(24, 9.3, (9, 1.5), heading=-np.pi / 2)
-    av = straight(0, 0, 4.5)
-    found = episode(av, Drawn(person), road=STREET)
+    """The person runs towards the AV along the lane, and into the car that has stopped."""
+    person = walks(30, 0, (9, 3.0), heading=np.pi)
+    found = episode(straight(0, 0, 6), Drawn(person), road=STREET)
     told = judged(found)
+    assert told.standing == {"vru": True}
     assert told.avoided_by == {"vru": True}
 
 

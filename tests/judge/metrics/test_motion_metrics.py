@@ -8,7 +8,9 @@ import scipy.stats
 from deepmf_sumo import plugins
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.judge.metrics import _slices, naturalness
+from deepmf_sumo.judge.metrics.driving import possible
 from deepmf_sumo.scene import Driver, Plan
+from deepmf_sumo.scene.road_users import ROAD_USERS
 
 from tests.support import drawn_people
 from tests.support.one_attacker import plan_of
@@ -273,3 +275,13 @@ def test_no_metric_fails_for_people(name, kind):
         value = plugins.load("metrics", name).measure(found.rollout, found.case)
         assert (value.value is None) == bool(value.reason)
         assert value.value is None or np.isfinite(value.value)
+
+
+def test_boxes_of_people_tremble_by_centimetres():
+    """4.5 cm to and fro every 0.2 s: 4.5 m/s2 over 0.2 s, and at most 0.72 over 0.5 s."""
+    path = straight(0, 20, 1.4)
+    path[:, 1] += 0.045 * np.where(np.arange(91) % 4 < 2, 1, -1)
+    pose = path[:, :2], path[:, 2], 0.1
+    assert possible(ROAD_USERS["pedestrian"], *pose)
+    _, across = _slices.accelerations(*pose)
+    assert np.abs(across).max() > ROAD_USERS["pedestrian"].motion.possible.lateral
