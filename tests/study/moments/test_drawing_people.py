@@ -21,7 +21,7 @@ OTHERS = ROOT.parent / "shared" / "networks"
 FOUR_WAY = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
 PLACES = {
     FOUR_WAY: (60.0, None),
-    OTHERS / "lucas4x4" / "4x4.sumocfg": (60.0, None),
+    OTHERS / "lucas4x4" / "4x4.sumocfg": (128.0, "4.40"),
     OTHERS / "cologne1" / "cologne1.sumocfg": (25230.0, "123965_406_0"),
     OTHERS / "wildau" / "flow1_Spaet.sumocfg": (54050.0, "pkwflow1.1"),
 }
@@ -146,10 +146,11 @@ def test_on_networks_of_others_all_of_them_walk_onto_the_road_and_back(config, s
     if not config.is_file():
         pytest.skip(f"{config} is not there")
     start_s, av = PLACES[config]
-    case, rollout = situation(config, start_s, av or "0.4")
+    case, rollout = situation(config, start_s, str(av))
     made = made_people.drawn(case, WantedPeople(count=4), rollout, rng()).made
     driver = sumo.build(sumo.Settings())
-    for one in made or ():
+    assert made
+    for one in made:
         walk = StepsOut(one.id, one.heading_rad, far_m=5.0)
         found = simulate(_with(case, made), driver, walk, rng=rng())
         assert found.tracks.steps > 11
