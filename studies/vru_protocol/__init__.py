@@ -1,0 +1,1 @@
+"""The ten situations with people of Euro NCAP's protocol; see README.md."""
