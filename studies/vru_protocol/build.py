@@ -226,7 +226,7 @@ def _person(case: Case, poses: Floats) -> str:
     """On the sidewalk beside where its path begins; it hardly moves until the attack."""
     one, (x, _) = case.situation, poses[0, :2]
     if one.motion == "turned_into":
-        edge, at = "n_out", 20.0
+        edge, at = "n_in", _ARM_M - 14.0  # its sidewalk is on the side that the person comes from
     elif one.from_left:
         edge, at = "back", 2 * MEETS_M - x
     else:
