@@ -33,9 +33,14 @@ CENTRE_M: Final = 1.75
 """Middles of lanes beside the middle of the road."""
 MEETS_M: Final = 400.0
 """Where they meet on a street."""
-CROSSES_M: Final = 9.5
-"""From the middle of the junction to the way of a person across the road that the AV turns into."""
+CROSSES_M: Final = 12.5
+"""From the middle of the junction to the way of a person across the road that the AV turns into.
+
+9.5 m in the protocol; our junction is wider."""
 OTHER: Final = "vru"
+_SIDEWALK_M: Final = -5.0
+_STEPS_OFF_S: Final = 4.0
+"""SUMO's persons are on sidewalks: one that walks ahead in the lane first comes from there."""
 _DRIVES: Final = "custom1"
 """SUMO's class of the parked cars: nobody else may use their strip."""
 
@@ -142,6 +147,10 @@ def path(case: Case, meeting: Meeting) -> Floats:
     seconds = DT_S * np.arange(1, round(DURATION_S / DT_S) + 1)
     covered, speed = _driven(one, seconds)
     position = meeting.front_m + (covered - _until(one))[:, None] * along
+    if one.motion == "ahead" and _walks(case):  # off the sidewalk first
+        part = np.clip(seconds / _STEPS_OFF_S, 0.0, 1.0)
+        left = 1.0 - part**2 * (3.0 - 2.0 * part)
+        position[:, 1] += left * (_SIDEWALK_M - meeting.front_m[1])
     return np.column_stack([position, np.full(len(seconds), frames.wrap(heading)), speed])
 
 
@@ -226,7 +235,7 @@ def _person(case: Case, poses: Floats) -> str:
     """On the sidewalk beside where its path begins; it hardly moves until the attack."""
     one, (x, _) = case.situation, poses[0, :2]
     if one.motion == "turned_into":
-        edge, at = "n_in", _ARM_M - 14.0  # its sidewalk is on the side that the person comes from
+        edge, at = "n_in", _ARM_M - CROSSES_M - 1.5  # its sidewalk is where the person comes from
     elif one.from_left:
         edge, at = "back", 2 * MEETS_M - x
     else:
@@ -234,12 +243,14 @@ def _person(case: Case, poses: Floats) -> str:
     speed = one.speed_mps if one.motion == "ahead" else 0.02
     if one.motion == "ahead":
         at -= one.speed_mps * (START_S - 5.0)
+    arrives = at + (60.0 if one.motion == "ahead" else 1.5)  # without a place it has arrived
     size = 'length="0.711" width="0.4" height="1.15"' if one.who == "child" else (
         'length="0.6" width="0.5" height="1.8"'
     )  # fmt: skip
     return (
         f'<vType id="{OTHER}" vClass="pedestrian" {size}/><person id="{OTHER}" type="{OTHER}"'
-        f' depart="5" departPos="{at:.2f}"><walk edges="{edge}" speed="{speed:.4f}"/></person>'
+        f' depart="5" departPos="{at:.2f}"><walk edges="{edge}"'
+        f' arrivalPos="{arrives:.2f}" speed="{speed:.4f}"/></person>'
     )
 
 

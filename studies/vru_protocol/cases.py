@@ -70,7 +70,7 @@ SITUATIONS: Final[tuple[Situation, ...]] = (
     ),
     Situation(
         name="CPTA", title="adult crosses the road that the AV turns into", road="junction",
-        motion="turned_into", who="adult", from_left=True, speed_mps=5 * _KMH, away_m=9.5,
+        motion="turned_into", who="adult", from_left=True, speed_mps=5 * _KMH, away_m=6.75,
         starts_m=1.0, shares=(0.5,), av_kmh=_TURNS,
     ),
     Situation(
