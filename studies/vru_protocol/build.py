@@ -117,6 +117,7 @@ def _case(folder: Path, case: Case) -> dict[str, Any]:
         "source": {"network": str(config), "start_s": START_S, "av": {"vehicle": "av"}},
         "duration_s": DURATION_S,
         "traffic": "sumo",
+        "av_sees": "in_sight",
         "profile": "any",
         "adversary": {
             "name": "trajectory", "agent": agent(case), "file": str(folder / f"{case.name}.npz")

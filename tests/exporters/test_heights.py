@@ -39,7 +39,7 @@ def test_osi_of_a_recording_has_the_middle_and_sumo_the_ground(tmp_path):
     user = _user(scene.tracks, row)
     assert user.base.position.z == pytest.approx(MIDDLE_M)
     rollout = replace(collision(), tracks=scene.tracks, av_id=scene.av_id)
-    line = fcd._fcd(rollout, scene.tracks.valid).split('id="7"')[1].splitlines()[0]
+    line = fcd._fcd(rollout, scene.tracks.valid, ()).split('id="7"')[1].splitlines()[0]
     assert f'z="{MIDDLE_M - height / 2:.2f}"' in line
 
 

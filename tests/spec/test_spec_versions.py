@@ -205,7 +205,7 @@ def test_scenarios_are_of_version_3_and_name_their_profile(file):
 def test_studies_name_their_profile_and_their_rule(file):
     values = yaml.safe_load(file.read_text())
     # what the default finds is measured as the default is
-    profile = "fair" if file.stem == "findings" else "any"
+    profile = "fair" if file.stem in {"findings", "support"} else "any"
     assert (values["version"], values["profile"]) == (3, profile)
     methods = values.get("methods", {"spec": values}).values()
     chosen = [one["adversary"] for one in methods if isinstance(one, dict)]

@@ -236,7 +236,7 @@ def test_an_av_meets_a_tram_once_and_is_one_box_itself(folder):
     for name in ("t", "t part 3"):  # a part stands for its vehicle
         only = simulate(replace(case, only=(name,)), planner, None, rng=np.random.default_rng(0))
         assert set(only.tracks.ids) == set(tracks.ids)
-    assert 'id="t part 2"' in fcd._fcd(rollout, tracks.valid)
+    assert 'id="t part 2"' in fcd._fcd(rollout, tracks.valid, ())
 
 
 def test_a_live_attack_sees_the_same_boxes(trams, started):

@@ -115,6 +115,6 @@ def test_a_live_attack_sees_the_same(config):
 
 
 def test_fcd_has_persons_as_sumo_has_them(boarding):
-    steps = ET.fromstring(fcd._fcd(boarding, boarding.tracks.valid))
+    steps = ET.fromstring(fcd._fcd(boarding, boarding.tracks.valid, ()))
     first = {(one.tag, one.get("id")) for one in steps[0]}
     assert {("vehicle", "1"), ("person", "1"), ("person", "rider")} <= first
