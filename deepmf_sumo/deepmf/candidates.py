@@ -32,6 +32,7 @@ from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.judge.ladder import MOMENT_S
 from deepmf_sumo.scene import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import boxes, frames, impact, road
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 
 NO_SECTOR: Final = -1
 """Sector of a pair that does not collide."""
@@ -40,6 +41,7 @@ _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is d
 _ROAD_EVERY = 3
 _SECOND_STEPS = 10
 _MOMENT_STEPS = round(MOMENT_S / DT_S)
+_LENGTHWISE_STEPS = round(2.0 / DT_S)
 _OFF_ROAD = 4.0  # m2/s5: a second off the road weighs as a mean acceleration of 2 m/s2
 
 
@@ -198,10 +200,10 @@ def against_traffic(
     What the opponent drove in the last second counts, too, from the step after ``since`` on (None:
     all of it): before the first plan something else drove it. That alone forbids no candidate: one
     that is back on its side from the next step on does not drive against the traffic. Pedestrians
-    have no side: never.
+    have no side, but cross: see `along_road`.
     """
     if situation.on_foot:
-        return np.zeros(len(until), bool)
+        return along_road(situation, own, until)
     view, levels = situation.view, situation.levels
     row = view.history.row(situation.opponent_id)
     known = np.flatnonzero(view.history.valid[row])[-_SECOND_STEPS:]
@@ -220,6 +222,26 @@ def against_traffic(
         wrong = _wrong_side(situation, own, rows, steps)
         more[rows] = (wrong & (steps <= until[rows, None])).sum(axis=1)
     return np.asarray((more > 0) & (before.sum() + more > _MOMENT_STEPS))
+
+
+def along_road(situation: Situation, own: Candidates, until: Floats) -> Bools:
+    """(N1) whether a pedestrian walks along a lane for more than 2 s up to ``until`` (N1).
+
+    Who crosses a lane at an angle is over it by then; who walks along it, through the traffic,
+    meets an AV anywhere.
+    """
+    steps = np.arange(0, situation.horizon, _ROAD_EVERY)
+    futures = own.forecast.futures
+    position_m = futures.position_m[:, steps]
+    z_m = None if situation.levels is None else situation.levels.opponent_z_m(futures.position_m)
+    along = road.along_lanes(
+        situation.view.road,
+        position_m.reshape(-1, 2),
+        futures.heading_rad[:, steps].reshape(-1),
+        None if z_m is None else z_m[:, steps].reshape(-1),
+    ).reshape(position_m.shape[:2])
+    along &= (own.speed_mps[:, steps] > WAITING_MPS) & (steps <= until[:, None])
+    return np.asarray(along.sum(axis=1) * _ROAD_EVERY > _LENGTHWISE_STEPS)
 
 
 def _wrong_side(situation: Situation, own: Candidates, rows: Ints, steps: Ints) -> Bools:

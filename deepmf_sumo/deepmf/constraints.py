@@ -422,7 +422,8 @@ class WithTraffic(Constraint):
     """Up to its collision the candidate does not drive against the traffic for more than 1 s.
 
     A vehicle on the wrong side can hit anyone anywhere; one that drifts over the middle of the road
-    meets the AV within that second. It does not apply to pedestrians: all their candidates pass.
+    meets the AV within that second. A pedestrian crosses: it does not walk along a lane for more
+    than 2 s.
     """
 
     name = "with_traffic"

@@ -125,15 +125,45 @@ def test_a_cycle_lane_is_road_to_a_cyclist_alone():
         assert bool(leaves_road(situation, own, np.array([80.0]))[0]) == leaves
 
 
-def test_only_those_with_wheels_keep_to_a_side():
-    against = np.stack([60.0 - 1.4 * STEPS, np.zeros(80)], -1)
-    for kind, wrong in (("pedestrian", False), ("cyclist", True)):
-        situation = situation_of((kind, 60, 0.0, np.pi, 1.4))
-        own = own_of(against, heading=np.pi)
+@pytest.mark.parametrize("towards", [1.0, -1.0])
+def test_only_those_with_wheels_keep_to_a_side(towards):
+    """The lane runs along x: a pedestrian goes along it in neither direction, a cyclist in its."""
+    along = np.stack([60.0 + towards * 1.4 * STEPS, np.zeros(80)], -1)
+    heading = 0.0 if towards > 0 else np.pi
+    for kind, wrong in (("pedestrian", True), ("cyclist", towards < 0)):
+        situation = situation_of((kind, 60, 0.0, heading, 1.4))
+        own = own_of(along, heading=heading)
         assert bool(against_traffic(situation, own, np.array([80.0]))[0]) == wrong
 
 
-@pytest.mark.parametrize("constraint", ["fair", "lawful", "on_road", "clean", "no_rear_end"])
+@pytest.mark.parametrize(
+    ("turn", "speed", "until", "wrong"),
+    [
+        (0.0, 1.4, 80.0, True),
+        (0.0, 1.4, 15.0, False),  # not for long enough
+        (0.0, 0.0, 80.0, False),  # stands
+        (np.radians(25), 0.3, 80.0, False),
+        (np.radians(25), 1.4, 80.0, True),
+        (np.radians(35), 1.4, 80.0, False),  # crosses at an angle
+        (UP, 1.4, 80.0, False),
+    ],
+)
+def test_a_pedestrian_crosses_and_does_not_walk_along_a_lane(turn, speed, until, wrong):
+    situation = situation_of(("pedestrian", 60, 0.0, turn, speed))
+    way = np.array([60.0, -1.0]) + speed * STEPS[:, None] * [np.cos(turn), np.sin(turn)]
+    own = replace(own_of(way, heading=turn), speed_mps=np.full((1, 80), speed))
+    assert bool(against_traffic(situation, own, np.array([until]))[0]) == wrong
+
+
+def test_beside_the_road_a_pedestrian_walks_where_it_likes():
+    way = np.stack([60.0 + 1.4 * STEPS, np.full(80, -4.0)], -1)
+    situation = situation_of(("pedestrian", 60, -4.0, 0.0, 1.4))
+    assert not against_traffic(situation, own_of(way, heading=0.0), np.array([80.0]))[0]
+
+
+@pytest.mark.parametrize(
+    "constraint", ["fair", "lawful", "on_road", "clean", "no_rear_end", "with_traffic"]
+)
 @pytest.mark.parametrize("person", [("pedestrian", 45, -4, UP, 1.2), ("cyclist", 25, -3, 0.0, 4.0)])
 def test_every_constraint_judges_people(constraint, person):
     view = people_view({"av": ("vehicle", 0, 0, 0, 10.0), "p": person})

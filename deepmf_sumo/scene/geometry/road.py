@@ -10,6 +10,7 @@ from deepmf_sumo.scene.geometry.lane_map import LaneMap, per_road
 
 _AGAINST_RAD = 2 * np.pi / 3
 _ALONG = 0.5  # cosine: within 60 degrees of the lane
+_LENGTHWISE = np.cos(np.pi / 6)
 
 
 @per_road
@@ -88,6 +89,22 @@ def against_traffic(
     on_it[under.point] = True
     along[under.point[turn > np.cos(_AGAINST_RAD)]] = True
     return on_it & ~along
+
+
+def along_lanes(
+    road: RoadMap, points_m: Floats, course_rad: Floats, z_m: Floats | None = None
+) -> Bools:
+    """(N) points on the road where the course (N) is within 30 degrees of all lanes, either way.
+
+    In junctions lanes lie in several directions: nobody goes along all of them. Heights (N) as in
+    `covering`.
+    """
+    under = covering(road, points_m, z_m)
+    turn = np.abs(np.cos(np.asarray(course_rad, float)[under.point] - under.heading_rad))
+    on_it, across = np.zeros((2, len(points_m)), bool)
+    on_it[under.point] = True
+    across[under.point[turn < _LENGTHWISE]] = True
+    return on_it & ~across
 
 
 def limit_mps(
