@@ -1,6 +1,7 @@
 """The structure that docs/architecture.md promises."""
 
 import ast
+from collections import Counter
 
 import pytest
 
@@ -22,3 +23,9 @@ def test_a_room_says_what_it_is_and_why(room):
 def test_the_architecture_page_lists_all_rooms():
     page = (house.ROOT / "docs" / "architecture.md").read_text()
     assert [room.name for room in ROOMS if f"| `{room.name}/`" not in page] == []
+
+
+def test_files_of_tests_have_names_of_their_own():
+    """pytest takes two files of one name in folders without __init__.py for one module."""
+    names = [file.name for file in (house.ROOT / "tests").rglob("test_*.py")]
+    assert [name for name, count in Counter(names).items() if count > 1] == []
