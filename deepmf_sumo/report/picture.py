@@ -28,6 +28,7 @@ from deepmf_sumo.scene import (
     TrafficCase,
     View,
 )
+from deepmf_sumo.scene.road_users import road_user
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
@@ -227,8 +228,18 @@ def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
     what = _capital(OUTCOMES[rollout.outcome])
     where = f", {SECTORS[contact.sector]}" if rollout.outcome.startswith("av") else ""
     if rollout.outcome == "av_opponent":
-        what = f"{happened(*conflict_of(rollout, case.road))}: hit"
+        row = rollout.tracks.row(contact.second_id)
+        other = road_user(rollout.tracks.kinds[row], rollout.tracks.size_m[row])
+        conflict, side, turned = conflict_of(rollout, case.road)
+        what = came_from(other.noun, side) if other.person else happened(conflict, side, turned)
+        what += ": hit"
     return f"{what} after {time_s:.1f} s at {contact.relative_mps:.0f} m/s{where}\n{case.name}"
+
+
+def came_from(noun: str, side: Side) -> str:
+    """A person on the AV's way: kinds of conflict are those of vehicles on lanes."""
+    where = f"the {side}" if side in {"left", "right"} else side
+    return f"{_capital(noun)} from {where}"
 
 
 def happened(conflict: ConflictType, side: Side, turned: str) -> str:

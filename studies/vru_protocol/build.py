@@ -222,7 +222,7 @@ def _traffic(case: Case, meeting: Meeting, poses: Floats) -> str:
     begins = meeting.along_m - case.av_mps * (START_S + MEETING_S - DEPART_S)
     av = (
         f'<vType id="av" length="{length}" width="{width}" height="{height}" sigma="0"'
-        f' speedFactor="1" maxSpeed="{case.av_mps:.4f}"/>'
+        f' tau="0.1" minGap="0" decel="9" speedFactor="1" maxSpeed="{case.av_mps:.4f}"/>'
         f'<vehicle id="av" type="av" depart="{DEPART_S}" departLane="best" departSpeed="max"'
         f' departPos="{begins:.3f}"><route edges="{edges}"/></vehicle>'
     )

@@ -7,7 +7,7 @@ import shapely
 
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.report.drawing import junctions
-from deepmf_sumo.report.picture import draw, happened
+from deepmf_sumo.report.picture import came_from, draw, happened
 from deepmf_sumo.scene import Contact, Lane, RoadMap
 
 from tests.support.one_attacker import plan_of
@@ -116,3 +116,14 @@ def test_junctions_are_filled_and_islands_are_not():
 )
 def test_a_title_says_what_happened(conflict, side, turned, words):
     assert happened(conflict, side, turned) == words
+
+
+@pytest.mark.parametrize(
+    ("noun", "side", "words"),
+    [
+        ("pedestrian", "left", "Pedestrian from the left"),
+        ("bicycle", "ahead", "Bicycle from ahead"),
+    ],
+)
+def test_the_title_of_a_hit_by_a_person_has_no_lanes(noun, side, words):
+    assert came_from(noun, side) == words

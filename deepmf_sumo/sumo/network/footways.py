@@ -28,6 +28,8 @@ _AWAY_M: Final = 0.6
 _END_M: Final = 0.2
 _CORNER_M: Final = 0.3
 """So close to a walking area SUMO may take a person for one of it, whatever lane is asked for."""
+_AROUND_CORNER_M: Final = 1.0
+"""The same for vehicles, which SUMO takes by their front."""
 
 
 class Footing(NamedTuple):
@@ -108,6 +110,15 @@ class Footways:
             found = found or self._junctions.under(at, z_m)
         return "" if found is None or _at_its_end(found, at) else found.id
 
+    def at_corner(self, at_m: Floats) -> bool:
+        """Whether a point (2,) is on a walking area, or within 1 m of it."""
+        return self._corners.near(np.asarray(at_m, float), _AROUND_CORNER_M)
+
+    def on_street(self, at_m: Floats, z_m: float) -> bool:
+        """Whether a point (2,) is on a lane outside junctions, and not `at_corner`."""
+        at = np.asarray(at_m, float)
+        return self._roads.under(at, z_m) is not None and not self.at_corner(at)
+
     def closed(self, lane: str) -> bool:
         """Whether people may walk on no lane of a lane's edge; one inside a junction is none."""
         return bool(lane) and not lane.startswith(":") and edge_of(lane) not in self._open
@@ -152,9 +163,9 @@ class _Corners:
         areas = [shapely.buffer(shapely.Polygon(ring), 0.0) for ring in rings]
         self._tree = shapely.STRtree(np.array(areas, object))
 
-    def near(self, at_m: Floats) -> bool:
+    def near(self, at_m: Floats, reach_m: float = _CORNER_M) -> bool:
         place = shapely.Point(*at_m)
-        return bool(len(self._tree.query(place, predicate="dwithin", distance=_CORNER_M)))
+        return bool(len(self._tree.query(place, predicate="dwithin", distance=reach_m)))
 
 
 def _walked(edge: NetEdge) -> NetLane | None:

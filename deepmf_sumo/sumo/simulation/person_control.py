@@ -79,6 +79,14 @@ class PersonControl:
         self._fresh: dict[AgentId, Pose] = {}
         self._released: dict[AgentId, Pose] = {}
 
+    def at_corner(self, at_m: Floats) -> bool:
+        """Whether a point (2,) is on a walking area or beside it: no vehicle may belong there."""
+        return self._footways.at_corner(at_m)
+
+    def on_street(self, at_m: Floats, z_m: float) -> bool:
+        """See `Footways.on_street`: there a vehicle may belong to a lane of another class."""
+        return self._footways.on_street(at_m, z_m)
+
     @property
     def _footways(self) -> Footways:
         if self._known is None:

@@ -130,7 +130,7 @@ class HandOver:
       across, SUMO looks for one more lane to move it to. So the change is ended first.
     - A vehicle that is placed on a lane that its class may not use is taken off its own lane, but
       stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
-      the vehicles of that lane see it.
+      the vehicles of that lane see it. Walking areas are the exception (`belong`).
     - A vehicle that leaves the lanes while its rear is inside a junction stays listed there, and
       the next vehicle that is about to enter asks for its lane. So its rear is cut off (`fit`).
     """
@@ -155,6 +155,21 @@ class HandOver:
         if float(vehicle.getLateralSpeed(vehicle_id)) != 0.0 and not sublane:
             self._hurried[vehicle_id] = float(vehicle.getMaxSpeedLat(vehicle_id))
             vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
+
+    def ignores(self, vehicle_id: AgentId) -> bool:
+        """Whether a vehicle may use every lane until it is given back."""
+        return vehicle_id in self._class
+
+    def belong(self, vehicle_id: AgentId, *, own: bool) -> None:
+        """Before it is placed: only lanes of its ``own`` class, or every lane, if it `ignores`.
+
+        On a walking area a vehicle that may use every lane crashes SUMO 1.28.
+        """
+        if vehicle_id not in self._class:
+            return
+        permission = self._class[vehicle_id] if own else "ignoring"
+        if self._api.vehicle.getVehicleClass(vehicle_id) != permission:
+            self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
     def fit(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> None:
         """Before it is placed: cut off its rear if it may leave the lanes without that.
@@ -286,7 +301,11 @@ class Takeover:
         taken = self._taken[agent]
         taken.pose = pose
         self._hand_over.fit(agent, pose, length_m)
-        rides = taken.rides
+        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+        everywhere = taken.rides or self._hand_over.ignores(agent)
+        corner = everywhere and self.persons.at_corner(front)
+        self._hand_over.belong(agent, own=corner)
+        rides = taken.rides and self.persons.on_street(front, self._z_m(agent))
         move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops, any_lane=rides)
 
     def _take(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> _Taken:
@@ -391,6 +410,10 @@ class Takeover:
         except self._api.TraCIException:
             detail = f"no way back to its destination {taken.route[-1]}"
             self._note(step, taken.agent, "route_lost", detail)
+
+    def _z_m(self, agent: AgentId) -> float:
+        """Height of the ground under a vehicle, as SUMO has it: poses of plans have none."""
+        return float(self._api.vehicle.getPosition3D(agent)[2])
 
     def _note(self, step: int, agent: AgentId, kind: str, detail: str) -> None:
         self._events.append(Event(step=step, agent_id=agent, kind=kind, detail=detail))

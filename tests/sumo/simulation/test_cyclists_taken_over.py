@@ -1,5 +1,7 @@
 """A policy drives SUMO's bicycles: cars react off the cycle lane, and they return to theirs."""
 
+from functools import partial
+
 import libsumo
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.attacks import _fixed_path
 from deepmf_sumo.planners import sumo
 from deepmf_sumo.scene import HISTORY_STEPS, Driver
+from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.simulation import network_case, simulate
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.vehicle_control import Takeover, move
@@ -52,7 +55,7 @@ def test_a_car_does_not_drive_through_a_bicycle_on_its_lane(folder, seen, option
     libsumo.start(["sumo", "-n", str(net), "-r", str(rou), *ALONE, *options])
     gaps, lanes = [], []
     try:
-        takeover = Takeover(libsumo, [])
+        takeover = Takeover(libsumo, [], footways=partial(footways_of, net))
         libsumo.simulationStep()
         x_m, _ = libsumo.vehicle.getPosition("b")
         for step, (x, y, heading) in enumerate(swerves(x_m, seconds=9.0)):
