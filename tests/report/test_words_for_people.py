@@ -15,8 +15,8 @@ from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.groups import grouped
 from deepmf_sumo.results.reader import Run
 
+from tests.judge.test_hits_by_people import AV, RIDER, crossing, far_walker
 from tests.judge.test_ladder import STREET
-from tests.judge.test_people import AV, RIDER, crossing, far_walker
 from tests.support.drawn_people import CAR, TRUCK, Drawn, episode, stands, walks
 from tests.support.rollout_doubles import straight
 
