@@ -4,7 +4,7 @@ SUMO's own pedestrians keep to one lane of an edge: the one for pedestrians alon
 that they may use. From there SUMO walks a person on; from other lanes it does not, or it jumps.
 """
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -115,7 +115,12 @@ class Footways:
         return self._corners.near(np.asarray(at_m, float), _AROUND_CORNER_M)
 
     def on_street(self, at_m: Floats, z_m: float) -> bool:
-        """Whether a point (2,) is on a lane outside junctions, and not `at_corner`."""
+        """Whether a point (2,) is on a lane outside junctions, and not `at_corner`.
+
+        All points are in a network without walking areas.
+        """
+        if not self._corners.any:
+            return True
         at = np.asarray(at_m, float)
         return self._roads.under(at, z_m) is not None and not self.at_corner(at)
 
@@ -161,6 +166,7 @@ class _Corners:
             if len(lane.shape_m) > 2
         ]
         areas = [shapely.buffer(shapely.Polygon(ring), 0.0) for ring in rings]
+        self.any = bool(areas)
         self._tree = shapely.STRtree(np.array(areas, object))
 
     def near(self, at_m: Floats, reach_m: float = _CORNER_M) -> bool:
@@ -222,6 +228,7 @@ def footways_of(net_file: Path) -> Footways:
     return _stamped(net_file, net_file.stat().st_mtime_ns if net_file.exists() else -1)
 
 
+@cache
 def no_footways() -> Footways:
     """Of a network without any."""
     return Footways(NetFile(edges={}, links=(), junctions=()))

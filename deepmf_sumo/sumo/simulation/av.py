@@ -8,6 +8,7 @@ import numpy as np
 from deepmf_sumo.scene import DT_S, AgentId, Command, Floats
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
+from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.route_ahead import RouteAhead
 from deepmf_sumo.sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
@@ -58,6 +59,7 @@ class SumoAv:
         length_m: of its box.
         start: its pose at the current step.
         way_back: from poses from which SUMO cannot drive it on; None: SUMO takes it anyway.
+        footways: of SUMO's network, where it is placed.
 
     Attributes:
         placed: the pose it was put at in the last step; None if SUMO drove it.
@@ -74,6 +76,7 @@ class SumoAv:
         length_m: float,
         start: Pose,
         way_back: WayBack | None = None,
+        footways: Callable[[], Footways] = no_footways,
     ) -> None:
         self._api = api
         self.id = av_id
@@ -89,7 +92,7 @@ class SumoAv:
         self._motion.restart(start)
         self._way_back = way_back
         self._way: WayOn | None = None
-        self._hand_over = HandOver(api)
+        self._hand_over = HandOver(api, footways)
         self._previous_mps: float | None = None
         self._commanded_mps: float | None = None
         self._path: Floats | None = None

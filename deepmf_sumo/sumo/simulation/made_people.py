@@ -7,7 +7,7 @@ the lane on). Its class is one that may use the nearest lane that is driven on. 
 ``ignoring``, which may be everywhere, SUMO puts it onto walking areas, and dies with the next step.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -22,7 +22,6 @@ from deepmf_sumo.scene.road_users import ROAD_USERS, RoadUser
 from deepmf_sumo.sumo.network.carriageway import Carriageway, driver_of
 from deepmf_sumo.sumo.simulation.frame import Body, Pose
 from deepmf_sumo.sumo.simulation.on_foot import Walk
-from deepmf_sumo.sumo.simulation.ownership import NextOwner
 from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, SumoApi
 from deepmf_sumo.sumo.simulation.vehicle_control import move
 
@@ -202,34 +201,3 @@ class MadePeople:
 
 def _place(pose: Pose) -> Floats:
     return np.array([pose.x_m, pose.y_m])
-
-
-class OwnerOfMade:
-    """The next owner of all: made people leave the road by themselves, from wherever they are."""
-
-    def __init__(self, made: MadePeople, others: NextOwner) -> None:
-        self._made, self._others = made, others
-
-    def creep_mps(self, agent: AgentId) -> float:
-        """As of other vehicles."""
-        return self._others.creep_mps(agent)
-
-    def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:
-        """Whether the agent goes on without a jump: made people do."""
-        return agent in self._made.ids or self._others.takes(agent, step, pose)
-
-    def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
-        """As of other vehicles."""
-        return self._others.clear(agent, poses)
-
-    def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
-        """As of other vehicles."""
-        return self._others.lane_cost(agent, lane_id)
-
-    def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
-        """As of other road users."""
-        return self._others.walk(agent, pose)
-
-    def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:
-        """As of other road users."""
-        return self._others.refusals(agents)

@@ -73,25 +73,14 @@ class PersonControl:
         note: Callable[[AgentId, str, str], None],
     ) -> None:
         self._api, self._footways_of, self._note = api, footways, note
-        self._known: Footways | None = None
         self._persons: dict[AgentId, _Person] = {}
         self._refused: set[AgentId] = set()
         self._fresh: dict[AgentId, Pose] = {}
         self._released: dict[AgentId, Pose] = {}
 
-    def at_corner(self, at_m: Floats) -> bool:
-        """Whether a point (2,) is on a walking area or beside it: no vehicle may belong there."""
-        return self._footways.at_corner(at_m)
-
-    def on_street(self, at_m: Floats, z_m: float) -> bool:
-        """See `Footways.on_street`: there a vehicle may belong to a lane of another class."""
-        return self._footways.on_street(at_m, z_m)
-
     @property
     def _footways(self) -> Footways:
-        if self._known is None:
-            self._known = self._footways_of()
-        return self._known
+        return self._footways_of()
 
     def refusal(self, agent: AgentId) -> str:
         """Why SUMO lets nobody move a person that is there; empty if it does."""

@@ -27,7 +27,7 @@ from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.sumo.simulation.made_people import MadePeople, OwnerOfMade
+from deepmf_sumo.sumo.simulation.made_people import MadePeople
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.ownership import NextOwner
@@ -110,9 +110,8 @@ class TrafficWorld:
             _set_model(api, case.av_id)
         length = self.body(case.av_id).size_m[0]
         start = read_pose(api, case.av_id, length)
-        self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road))
-        of_sumo = SumoOwner(self._takeover, self._occupancy)
-        self.next_owner: NextOwner = OwnerOfMade(self._made, of_sumo) if case.made else of_sumo
+        self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road), footways)
+        self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy, self._made.ids)
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
     def _way_back(self, road: RoadMap) -> WayBack:

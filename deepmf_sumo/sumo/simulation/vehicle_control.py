@@ -5,6 +5,7 @@ Persons are moved by `person_control`; vehicles, bicycles among them, here.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -130,13 +131,18 @@ class HandOver:
       across, SUMO looks for one more lane to move it to. So the change is ended first.
     - A vehicle that is placed on a lane that its class may not use is taken off its own lane, but
       stays listed on the lane beside it. So it may use every lane until SUMO drives it again, and
-      the vehicles of that lane see it. Walking areas are the exception (`belong`).
+      the vehicles of that lane see it. Walking areas are the exception: onto these SUMO takes
+      every vehicle that may use every lane, and crashes as well.
     - A vehicle that leaves the lanes while its rear is inside a junction stays listed there, and
       the next vehicle that is about to enter asks for its lane. So its rear is cut off (`fit`).
+
+    Args:
+        api: a running SUMO.
+        footways: of its network; asked for where a vehicle may use every lane.
     """
 
-    def __init__(self, api: SumoApi) -> None:
-        self._api = api
+    def __init__(self, api: SumoApi, footways: Callable[[], Footways] = no_footways) -> None:
+        self._api, self._footways = api, footways
         self._hurried: dict[AgentId, float] = {}
         self._class: dict[AgentId, str] = {}
         self._lost: set[AgentId] = set()
@@ -156,26 +162,12 @@ class HandOver:
             self._hurried[vehicle_id] = float(vehicle.getMaxSpeedLat(vehicle_id))
             vehicle.setMaxSpeedLat(vehicle_id, _AT_ONCE_MPS)
 
-    def ignores(self, vehicle_id: AgentId) -> bool:
-        """Whether a vehicle may use every lane until it is given back."""
-        return vehicle_id in self._class
-
-    def belong(self, vehicle_id: AgentId, *, own: bool) -> None:
-        """Before it is placed: only lanes of its ``own`` class, or every lane, if it `ignores`.
-
-        On a walking area a vehicle that may use every lane crashes SUMO 1.28.
-        """
-        if vehicle_id not in self._class:
-            return
-        permission = self._class[vehicle_id] if own else "ignoring"
-        if self._api.vehicle.getVehicleClass(vehicle_id) != permission:
-            self._api.vehicle.setVehicleClass(vehicle_id, permission)
-
     def fit(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> None:
-        """Before it is placed: cut off its rear if it may leave the lanes without that.
+        """Before it is placed: its class, and its rear, which is cut off if it may leave the lanes.
 
         SUMO takes it off them where it does not touch its lane any more.
         """
+        self._permit(vehicle_id, pose, length_m)
         vehicle = self._api.vehicle
         lane_id = vehicle.getLaneID(vehicle_id)
         if not lane_id:
@@ -186,6 +178,16 @@ class HandOver:
             vehicle.setLength(vehicle_id, max(along_m, _SHORTEST_M))
         else:
             self._restore_length(vehicle_id)
+
+    def _permit(self, vehicle_id: AgentId, pose: Pose, length_m: float) -> None:
+        """Let it use every lane, but only those of its own class at a walking area."""
+        own = self._class.get(vehicle_id)
+        if own is None:
+            return
+        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+        permission = own if self._footways().at_corner(front) else "ignoring"
+        if self._api.vehicle.getVehicleClass(vehicle_id) != permission:
+            self._api.vehicle.setVehicleClass(vehicle_id, permission)
 
     def _may_leave(self, vehicle_id: AgentId, lane_id: str, pose: Pose, length_m: float) -> bool:
         vehicle = self._api.vehicle
@@ -272,11 +274,12 @@ class Takeover:
         self._events = events
         self._leaves = leaves
         self._ends = NetworkEnds(api)
-        self._hand_over = HandOver(api)
+        self._footways = cache(footways)
+        self._hand_over = HandOver(api, self._footways)
         self._taken: dict[AgentId, _Taken] = {}
         self._gone: set[AgentId] = set()
         self._step = 0
-        self.persons = PersonControl(api, footways, self._note_now)
+        self.persons = PersonControl(api, self._footways, self._note_now)
 
     def placed(self) -> dict[AgentId, Pose]:
         """Those that SUMO does not drive, and where they were put in the last step."""
@@ -301,12 +304,8 @@ class Takeover:
         taken = self._taken[agent]
         taken.pose = pose
         self._hand_over.fit(agent, pose, length_m)
-        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
-        everywhere = taken.rides or self._hand_over.ignores(agent)
-        corner = everywhere and self.persons.at_corner(front)
-        self._hand_over.belong(agent, own=corner)
-        rides = taken.rides and self.persons.on_street(front, self._z_m(agent))
-        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops, any_lane=rides)
+        seen = taken.rides and self._on_street(agent, pose, length_m)
+        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops, any_lane=seen)
 
     def _take(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> _Taken:
         route = tuple(self._api.vehicle.getRoute(agent))
@@ -411,9 +410,14 @@ class Takeover:
             detail = f"no way back to its destination {taken.route[-1]}"
             self._note(step, taken.agent, "route_lost", detail)
 
-    def _z_m(self, agent: AgentId) -> float:
-        """Height of the ground under a vehicle, as SUMO has it: poses of plans have none."""
-        return float(self._api.vehicle.getPosition3D(agent)[2])
+    def _on_street(self, agent: AgentId, pose: Pose, length_m: float) -> bool:
+        """Whether a bicycle may belong to a lane of another class there.
+
+        Inside junctions and at walking areas SUMO would crash.
+        """
+        front, _ = frames.to_sumo((pose.x_m, pose.y_m), pose.heading_rad, length_m)
+        z_m = float(self._api.vehicle.getPosition3D(agent)[2])  # poses of plans have none
+        return self._footways().on_street(front, z_m)
 
     def _note(self, step: int, agent: AgentId, kind: str, detail: str) -> None:
         self._events.append(Event(step=step, agent_id=agent, kind=kind, detail=detail))
@@ -438,10 +442,16 @@ class SumoOwner:
     Args:
         takeover: of vehicles and persons.
         occupancy: the agents around a vehicle now.
+        made: road users that leave the road by themselves, from wherever they are.
     """
 
-    def __init__(self, takeover: Takeover, occupancy: Callable[[AgentId], Occupancy]) -> None:
-        self._takeover, self._occupancy = takeover, occupancy
+    def __init__(
+        self,
+        takeover: Takeover,
+        occupancy: Callable[[AgentId], Occupancy],
+        made: Collection[AgentId] = (),
+    ) -> None:
+        self._takeover, self._occupancy, self._made = takeover, occupancy, made
 
     def creep_mps(self, agent: AgentId) -> float:
         """So slowly a vehicle turns onto a lane, where SUMO drives on; a person walks."""
@@ -449,7 +459,7 @@ class SumoOwner:
 
     def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:  # noqa: ARG002
         """Whether SUMO can drive the agent on from where it is."""
-        return self._takeover.drivable(agent, self._occupancy(agent))
+        return agent in self._made or self._takeover.drivable(agent, self._occupancy(agent))
 
     def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
         """Whether nothing is in the way of the agent; people on foot make way for each other."""
