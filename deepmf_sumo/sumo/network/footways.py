@@ -28,8 +28,9 @@ _AWAY_M: Final = 0.6
 _END_M: Final = 0.2
 _CORNER_M: Final = 0.3
 """So close to a walking area SUMO may take a person for one of it, whatever lane is asked for."""
-_AROUND_CORNER_M: Final = 1.0
-"""The same for vehicles, which SUMO takes by their front."""
+_AROUND_CORNER_M: Final = 3.5
+"""The same for vehicles: SUMO takes them by their front, for the lane whose line is at most half of
+both widths away, and a walking area is several metres wide."""
 
 
 class Footing(NamedTuple):
@@ -111,7 +112,7 @@ class Footways:
         return "" if found is None or _at_its_end(found, at) else found.id
 
     def at_corner(self, at_m: Floats) -> bool:
-        """Whether a point (2,) is on a walking area, or within 1 m of it."""
+        """Whether a point (2,) is on a walking area, or within 3.5 m of it."""
         return self._corners.near(np.asarray(at_m, float), _AROUND_CORNER_M)
 
     def on_street(self, at_m: Floats, z_m: float) -> bool:
