@@ -15,8 +15,7 @@ The rungs are those of `ladder`. What differs from vehicles:
   velocity says nothing: people are light); the person ran into its side or rear; no person moves
   like that; one of the two had touched another before.
 
-Maps do not show lights of pedestrians. Where the AV passed a green light and went straight on, the
-crossing behind it was red; where it turned, it was green, and the AV has to give way.
+What a crossing's light was is inferred from the AV's, see `crossings`.
 """
 
 from collections.abc import Iterator

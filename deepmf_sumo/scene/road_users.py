@@ -74,6 +74,7 @@ class MotionModel:
         fastest_mps: it never moves faster; inf for vehicles, which roads limit.
         usual_mps: speeds at which it usually moves, the first more often; empty for vehicles, whose
             speeds roads and traffic decide.
+        spread_mps: standard deviation of the first of these among people; 0 where none is known.
         rear_axle: distance of the rear axle behind the centre of the box, per length.
         slip_rad: course against heading at full lock.
         turn_per_m: a motion that is believed turns by at most this, in rad a metre; turning circles
@@ -85,6 +86,7 @@ class MotionModel:
     possible: MotionLimits
     fastest_mps: float = float("inf")
     usual_mps: tuple[float, ...] = ()
+    spread_mps: float = 0.0
     rear_axle: float = 0.3
     slip_rad: float = 0.33
     turn_per_m: float = 0.3
@@ -136,6 +138,7 @@ _PEDESTRIAN: Final = MotionModel(
     possible=MotionLimits(accel=4.0, brake=4.0, lateral=4.0),
     fastest_mps=3.5,
     usual_mps=(1.36, 8 / 3.6),
+    spread_mps=0.24,
 )
 """Planned: an adult who starts to run needs 1.5 m to 8 km/h, 1.6 m/s2 (Euro NCAP 2026, running
 adult from the far side); the start of a walk has 0.14 g (Randles, 288 people), braking -2 m/s2 is

@@ -36,7 +36,9 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames, polylines
-from deepmf_sumo.scene.geometry.road import lanes_for_cars
+from deepmf_sumo.scene.geometry.ground import clear, ground_of
+from deepmf_sumo.scene.geometry.lane_map import Feet, LaneMap
+from deepmf_sumo.scene.geometry.road import all_lanes, lanes_for_cars
 from deepmf_sumo.scene.road_users import ROAD_USERS, MotionModel, road_user
 
 _SECONDS: Final = DT_S * np.arange(1, FUTURE_STEPS + 1)
@@ -44,8 +46,7 @@ _MOVES_MPS: Final = 0.3
 """A person who is slower stands: recorded positions of one who stands move as fast."""
 _MEASURED_STEPS: Final = 5
 """The speed now is that of the last 0.5 s: a step goes left and right."""
-_WALKS_MPS: Final = ROAD_USERS["pedestrian"].motion.usual_mps[0]
-_SPEED_MPS: Final = 0.24
+_WALKS: Final = ROAD_USERS["pedestrian"].motion
 _WANDERS_RAD: Final = np.radians(6.0)
 _LAPLACE: Final = 1 / np.sqrt(2.0)
 """Scale of a Laplace distribution per standard deviation."""
@@ -197,7 +198,7 @@ def untrained(view: View, agent_id: AgentId) -> PeoplePrediction:
     pose = moving_pose(view, agent_id)
     walks = motion.body == "point"
     z_m = float(tracks.z_m[row, -1])
-    ways = [*(_walked(view.road, pose) if walks else _ridden(view.road, pose, z_m))]
+    ways = [*(_walked if walks else _ridden)(view.road, pose, z_m)]
     paces = [*_paces(pose.speed_mps, motion)]
     position, heading, share = [], [], []
     for way in ways:
@@ -238,8 +239,8 @@ def moving_pose(view: View, agent_id: AgentId) -> AgentFrame:
 def _widths(speed_mps: float) -> Floats:
     """(5, 2) scales of the kernels along and across at the knots."""
     seconds = _SECONDS[list(KNOT_STEPS)]
-    along = np.hypot(_NOW_M, _SPEED_MPS * seconds)
-    across = np.hypot(_NOW_M, max(speed_mps, _WALKS_MPS) * seconds * np.tan(_WANDERS_RAD))
+    along = np.hypot(_NOW_M, _WALKS.spread_mps * seconds)
+    across = np.hypot(_NOW_M, max(speed_mps, _WALKS.usual_mps[0]) * seconds * np.tan(_WANDERS_RAD))
     return np.stack([along, across], axis=-1) * _LAPLACE
 
 
@@ -273,12 +274,12 @@ def _covered(now_mps: float, then_mps: float, delay_s: float, motion: MotionMode
     )
 
 
-def _walked(road: RoadMap, pose: AgentFrame) -> Iterator[_Way]:
+def _walked(road: RoadMap, pose: AgentFrame, z_m: float) -> Iterator[_Way]:
     """Ways of a pedestrian: on, to all sides, over the nearest road."""
     on = _WALKING_ON if pose.speed_mps > 0.0 else {0.0: 0.1}
     for degrees, share in (on | _TO_THE_SIDES).items():
         yield _Way(_straight(pose, np.radians(degrees)), share)
-    across = _across(road, pose)
+    across = _across(road, pose, z_m)
     for heading in across:
         turn = float(frames.difference(heading, pose.heading_rad))
         yield _Way(_straight(pose, turn), 0.3 / len(across))
@@ -292,12 +293,12 @@ _RIDING_ON: Final = {
 """Shares of ways by their turn, degrees to the left."""
 
 
-def _across(road: RoadMap, pose: AgentFrame) -> list[float]:
+def _across(road: RoadMap, pose: AgentFrame, z_m: float) -> list[float]:
     """Directions over the nearest road: from beside it towards it; on it to both sides."""
     lanes = lanes_for_cars(road)
     if not lanes.lanes:
         return []
-    feet = lanes.feet(pose.position_m[None], _NEAR_ROAD_M)
+    feet = _near(road, lanes, pose, _NEAR_ROAD_M, z_m)
     if not len(feet.segment):
         return []
     nearest = int(np.hypot(*feet.away_m.T).argmin())
@@ -342,38 +343,40 @@ def _bent(pose: AgentFrame, turn_rad: float) -> Floats:
 
 def _ahead(road: RoadMap, pose: AgentFrame, z_m: float) -> list[Floats]:
     """(P, 2) each: along the lane under the rider, or beside it, and on to where it leads."""
-    found: list[Lane] = []
-    for lane in road.lanes.values():
-        if len(lane.centre_m) < 2:
-            continue
-        low, high = lane.centre_m.min(0) - _LANE_M, lane.centre_m.max(0) + _LANE_M
-        if (pose.position_m < low).any() or (pose.position_m > high).any():
-            continue
-        foot = polylines.project(lane.centre_m, pose.position_m)
-        level = abs(float(np.median(lane.z_m)) - z_m) < _LEVEL_M
-        along = np.cos(float(foot.heading_rad) - pose.heading_rad) > _ALONG
-        if level and along and float(foot.distance_m) < _LANE_M:
-            found.append(lane)
-    if not found:
+    lanes = all_lanes(road)
+    feet = _near(road, lanes, pose, _LANE_M, z_m)
+    away = np.hypot(*feet.away_m.T)
+    x, y = lanes.vector_m[feet.segment].T
+    along = np.cos(np.arctan2(y, x) - pose.heading_rad) > _ALONG
+    away = np.where(along & (away < _LANE_M), away, np.inf)
+    if not np.isfinite(away).any():
         return []
-    own = min(
-        found, key=lambda one: float(polylines.project(one.centre_m, pose.position_m).distance_m)
-    )
-    return [_beside(points, pose) for points in _led_on(road, own)][:_BRANCHES]
+    own = lanes.lanes[lanes.lane[feet.segment[int(away.argmin())]]]
+    begins_m = float(polylines.project(own.centre_m, pose.position_m).along_m)
+    ways = _led_on(road, own, begins_m + _REACH_M)
+    return [_beside(points, pose) for points in ways][:_BRANCHES]
 
 
-_LEVEL_M: Final = 4.0
+def _near(road: RoadMap, lanes: LaneMap, pose: AgentFrame, reach_m: float, z_m: float) -> Feet:
+    """Feet of the person on lanes around it, on its level."""
+    feet = lanes.feet(pose.position_m[None], reach_m)
+    if not ground_of(road).has_levels:
+        return feet
+    return feet.among(~clear(lanes.heights_m(feet), np.array(z_m)))
+
+
 _REACH_M: Final = 8.5 * FUTURE_STEPS * DT_S
+"""A rider gets no farther."""
 
 
-def _led_on(road: RoadMap, lane: Lane) -> Iterator[Floats]:
-    """(P, 2) each: the lane and the lanes that follow, up to where a rider gets in 8 s."""
+def _led_on(road: RoadMap, lane: Lane, reach_m: float) -> Iterator[Floats]:
+    """(P, 2) each: the lane and the lanes that follow, up to a distance from its beginning."""
     open_ways: list[tuple[str, Floats]] = [(lane.id, lane.centre_m)]
     while open_ways:
         last, points = open_ways.pop(0)
         after = [road.lanes[name] for name in road.lanes[last].next if name in road.lanes]
         after = [one for one in after if len(one.centre_m) > 1]
-        if not after or polylines.arc_lengths(points)[-1] > _REACH_M:
+        if not after or polylines.arc_lengths(points)[-1] > reach_m:
             yield points
         else:
             open_ways += [(one.id, np.concatenate([points, one.centre_m])) for one in after]

@@ -36,9 +36,10 @@ from deepmf_sumo.judge.avoidability.reference_drivers import (
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, Tracks
 from deepmf_sumo.scene.geometry import road, sight
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
-from deepmf_sumo.scene.road_users import road_user
+from deepmf_sumo.scene.road_users import ROAD_USERS, road_user
 
-WALKING_MPS: Final = 1.36 + 2 * 0.24
+_WALK: Final = ROAD_USERS["pedestrian"].motion
+WALKING_MPS: Final = _WALK.usual_mps[0] + 2 * _WALK.spread_mps
 """Hardly anybody walks faster."""
 _PACE_S: Final = 0.5
 _NEAR_M: Final = 20.0

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import shapely
 
-from deepmf_sumo.scene import Floats, Ints, Lane, RoadMap
+from deepmf_sumo.scene import Bools, Floats, Ints, Lane, RoadMap
 
 WIDTH_M: Final = 3.7
 """Width of a lane whose source states none."""
@@ -71,6 +71,11 @@ class Feet(NamedTuple):
     share: Floats
     offset_m: Floats
     away_m: Floats
+
+    def among(self, rows: Bools) -> "Feet":
+        """Those of K pairs that are chosen (K)."""
+        point, segment, share, offset, away = self
+        return Feet(point[rows], segment[rows], share[rows], offset[rows], away[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""WantedPeople who are put around an AV's way, where they could be: at kerbs, crossings, stops.
+"""People who are put around an AV's way, where they could be: at kerbs, crossings, stops.
 
 Who they are and where they stand is drawn with the seed of the run. Somebody at a place could have
 come there, is in nobody's way without an attack, and can get to the AV's way before the AV is past.
@@ -26,10 +26,9 @@ from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
 _IN_TIME_S: Final = (1.5, 7.0)
 """When the AV comes by: sooner nobody gets onto its way, later the attack is over."""
-_SPREAD_MPS: Final = 0.24
-"""Standard deviation of the speed of a walk (Randles)."""
 _SLOWEST_MPS, _FASTEST_MPS = 0.8, 2.0
 _STARTS_S: Final = 0.5
+_ON_FOOT: Final = ROAD_USERS["pedestrian"].motion
 _WALKS: Final = 0.5
 """Share of the people at kerbs who walk along it."""
 _CYCLES_MPS: Final = (3.0, 5.5)
@@ -238,7 +237,7 @@ def _walking(
     here: Roadside, offset_m: Floats, at: int, side: Side, rng: np.random.Generator
 ) -> _Candidate | None:
     """Somebody who walks along the kerb, in either direction; None where it is too short."""
-    speed = float(np.clip(rng.normal(WALK_MPS, _SPREAD_MPS), _SLOWEST_MPS, _FASTEST_MPS))
+    speed = float(np.clip(rng.normal(WALK_MPS, _ON_FOOT.spread_mps), _SLOWEST_MPS, _FASTEST_MPS))
     return _along(here, offset_m, at, side, speed, backwards=bool(rng.random() < 0.5))
 
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from deepmf_sumo.scene import DT_S, Floats
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.scene.road_users import MotionLimits
+from deepmf_sumo.scene.road_users import ROAD_USERS, MotionLimits
 from deepmf_sumo.sumo.simulation.frame import Pose
 
-WALK_MPS: Final = 1.36
-"""Mean speed of a walk (Randles, 288 people)."""
+WALK_MPS: Final = ROAD_USERS["pedestrian"].motion.usual_mps[0]
 _TURN_RAD: Final = 0.15
 """A person turns at most so far in a step."""
 _THERE_M: Final = 0.1

@@ -143,3 +143,30 @@ def test_modes_are_few_where_few_are_asked_for():
     ends = found.modes(32).futures.position_m[:, -1]
     apart = np.hypot(*(ends[:, None] - ends).swapaxes(0, -1)) + 10 * np.eye(32)
     assert np.median(apart.min(0)) > 0.5  # they cover where it may be
+
+
+def test_a_cyclist_near_the_end_of_a_long_lane_goes_on_along_the_next_one():
+    """A lane of 400 m to x = 300, then one that leads to the left."""
+    road = straight_road(lanes=1)
+    first = replace(road.lanes["0"], next=("left",))
+    bend = np.linspace(0.0, np.pi / 2, 30)
+    centre = np.stack([300 + 20 * np.sin(bend), 20 * (1 - np.cos(bend))], -1)
+    left = replace(first, id="left", centre_m=centre, z_m=np.zeros(30), next=())
+    view = person("cyclist", 290.0, -1.0, 0.0, 4.0, RoadMap(lanes={"0": first, "left": left}))
+    found = People().predict(view, "p")
+    turned = np.abs(frames.difference(found.heading_rad[:, 60], 0.0)) > 0.5
+    beside = np.hypot(*(found.position_m[:, 60] - [300.0, 20.0]).T) - 21.0
+    assert found.share[turned & (np.abs(beside) < 0.5)].sum() > 0.2
+
+
+@pytest.mark.parametrize(("kind", "y"), [("cyclist", 0.5), ("pedestrian", -4.0)])
+def test_a_road_on_another_level_is_not_theirs(kind, y):
+    """A bridge along y, 6 m above a road along x: who is below it does not take it."""
+    below = straight_road(lanes=1).lanes["0"]
+    centre = np.stack([np.zeros(81), np.linspace(-100.0, 300.0, 81)], -1)
+    above = replace(below, id="above", centre_m=centre, z_m=np.full(81, 6.0))
+    heading = np.pi / 2 if kind == "cyclist" else 0.0  # along the bridge
+    both = person(kind, 0.5, y, heading, 1.4, RoadMap(lanes={"0": below, "above": above}))
+    alone = replace(both, road=RoadMap(lanes={"0": below}))
+    here, there = (People().predict(one, "p") for one in (both, alone))
+    assert here.position_m == pytest.approx(there.position_m)
