@@ -5,14 +5,14 @@ without a place to reach (to be survived until the end), and leaves its motion o
 makes it one more vehicle, which measures of criticality need. After a contact the opponent's last
 plan continues, as in the scene of a run. Lanes are lanelets with their limits as signs; lights are
 left out. Ids are numbers: a comment before each road user says which one it is; one that leaves and
-comes back is several obstacles.
+comes back is several obstacles. The comment also says who was made.
 
 Source: CommonRoad, XML documentation, version 2020a (Pek et al., TU Munich, 2020).
 """
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final, Literal
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -23,7 +23,7 @@ from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.scene import Floats, Ints, Lane, RoadMap, Scene
+from deepmf_sumo.scene import AgentId, Floats, Ints, Lane, RoadMap, Scene
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
@@ -48,13 +48,13 @@ class Settings(plugins.Settings):
 
 def write(run: Exportable, path: Path, settings: Settings) -> None:
     """Write the file ``path``. Raises OutputError, RunError and what `Exportable.around` raises."""
-    root = described(scene_of(run), settings)
+    root = described(scene_of(run), settings, run.made)
     indent(root)
     with files.writing(path):
         files.write(path, tostring(root, "utf-8", xml_declaration=True) + b"\n")
 
 
-def described(scene: Scene, settings: Settings) -> Element:
+def described(scene: Scene, settings: Settings, made: Collection[AgentId] = ()) -> Element:
     """The scenario of a scene, from its current step on. Raises RunError without the AV there."""
     if not scene.tracks.valid[scene.tracks.row(scene.av_id), scene.now]:
         raise RunError(f"{scene.name}: the AV is not there at the begin of the attack.")
@@ -82,7 +82,8 @@ def described(scene: Scene, settings: Settings) -> Element:
     for row, name in enumerate(scene.tracks.ids):
         if name != scene.av_id or settings.av == "obstacle":
             for steps in _stretches(scene, row):
-                root.append(Comment(f" {name.replace('--', '- -')} "))
+                words = f"{name} (made: not in the demand)" if name in made else name
+                root.append(Comment(f" {words.replace('--', '- -')} "))
                 _obstacle(root, scene, row, steps, next(numbers))
     if settings.av == "problem":
         _problem(root, scene, next(numbers))

@@ -2,7 +2,8 @@
 
 One ``GroundTruth`` a step, the same ones in both files: road users with box, velocity and
 acceleration, and the painted lines and edges of the road near the AV's way, at each step. Ids are
-numbers in this format; ``source_reference`` has the run's own. It needs the extra ``osi``.
+numbers in this format; ``source_reference`` has the run's own, and a second one marks people who
+were made. It needs the extra ``osi``.
 """
 
 import errno
@@ -19,7 +20,7 @@ from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters._numbers import Numbers, Sort
 from deepmf_sumo.exporters.base import Exportable, known_heights
-from deepmf_sumo.scene import Bools, Floats, Polyline, RoadMap, Rollout, Tracks
+from deepmf_sumo.scene import Bools, Floats, Polyline, RoadMap, Tracks
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 
 FILE: Final = "osi/"
@@ -27,6 +28,8 @@ TRACE, RECORDS, ABOUT = "run_gt.osi", "run.mcap", "about.json"
 TOPIC: Final = "GroundTruth"
 _REFERENCE: Final = "net.deepmf-sumo"
 """Type of the references that hold the run's own ids."""
+_MADE: Final = f"{_REFERENCE}.made"
+"""Type of a second reference of people who are not in the demand."""
 _CREATED: Final = "1970-01-01T00:00:00Z"
 """The same run gives the same bytes."""
 _VEHICLES: Final[dict[RoadUserClass, str]] = {
@@ -77,7 +80,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
     numbers = Numbers([*tracks, *((sort, one.id) for sort, one in drawn)])
     road = _boundaries(drawn, numbers)
     with files.writing(path), files.whole_folder(path) as folder:
-        _write_all(folder, list(_messages(rollout, numbers, road)))
+        _write_all(folder, list(_messages(run, numbers, road)))
         about = {
             "run_id": run.name,
             "steps": rollout.tracks.steps,
@@ -85,6 +88,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
             "lane_boundaries": len(road),
             "lane_boundaries_left_out": left_out,
             "road_users": len(rollout.tracks.ids),
+            "made": list(run.made),
         }
         files.write_json(folder / ABOUT, about)
 
@@ -125,12 +129,12 @@ def _boundaries(drawn: Sequence[tuple[Sort, Polyline]], numbers: Numbers) -> lis
     return found
 
 
-def _messages(rollout: Rollout, numbers: Numbers, road: Sequence[Any]) -> Iterator[Any]:
+def _messages(run: Exportable, numbers: Numbers, road: Sequence[Any]) -> Iterator[Any]:
     """One ``GroundTruth`` a step."""
     from osi3 import osi_version_pb2 as version
     from osi3.osi_groundtruth_pb2 import GroundTruth
 
-    tracks = rollout.tracks
+    rollout, tracks = run.rollout, run.rollout.tracks
     gained, heights = _accelerations(tracks, rollout.dt_s), known_heights(tracks)
     current = version.DESCRIPTOR.GetOptions().Extensions[version.current_interface_version]
     for step in range(tracks.steps):
@@ -143,6 +147,8 @@ def _messages(rollout: Rollout, numbers: Numbers, road: Sequence[Any]) -> Iterat
             user = message.moving_object.add()
             user.id.value = numbers("track", tracks.ids[row])
             user.source_reference.add(type=_REFERENCE, identifier=[tracks.ids[row]])
+            if tracks.ids[row] in run.made:
+                user.source_reference.add(type=_MADE, identifier=[tracks.ids[row]])
             _fill(user, tracks, (row, step), gained[row, step], float(heights[row]))
         yield message
 

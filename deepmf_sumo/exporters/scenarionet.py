@@ -8,6 +8,7 @@ as 2. Of lanes it lacks widths and priorities, which the format does not know.
 import io
 import pickle
 import pickletools
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,16 @@ import numpy as np
 from deepmf_sumo import files, plugins
 from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.exporters.scene import scene_of
-from deepmf_sumo.scene import Boundary, Lane, Neighbour, RoadMap, Scene, Signals, SignalState
+from deepmf_sumo.scene import (
+    AgentId,
+    Boundary,
+    Lane,
+    Neighbour,
+    RoadMap,
+    Scene,
+    Signals,
+    SignalState,
+)
 from deepmf_sumo.scene.readers.scenarionet import EDGE_KINDS, KINDS, LANE_KINDS, LINE_KINDS
 from deepmf_sumo.scene.scene import AgentKind, LaneKind, PolygonKind
 
@@ -45,7 +55,7 @@ class Settings(plugins.Settings):
 
 def write(run: Exportable, path: Path, settings: Settings) -> None:
     """Write the file ``path``. Raises OutputError and what `Exportable.around` raises."""
-    content = packed(described(scene_of(run)))
+    content = packed(described(scene_of(run), run.made))
     with files.writing(path):
         files.write(path, content)
 
@@ -69,9 +79,14 @@ def packed(values: Any) -> bytes:
     return out.getvalue()
 
 
-def described(scene: Scene) -> Described:
-    """The scene as MetaDrive's ``ScenarioDescription``, made of plain containers and arrays."""
+def described(scene: Scene, made: Collection[AgentId] = ()) -> Described:
+    """The scene as MetaDrive's ``ScenarioDescription``, of plain containers and arrays.
+
+    The metadata of people who were ``made`` say so.
+    """
     tracks = _tracks(scene)
+    for agent in tracks.keys() & {*made}:
+        tracks[agent]["metadata"]["made"] = True
     return {
         "id": scene.name,
         "version": VERSION,

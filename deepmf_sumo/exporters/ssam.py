@@ -208,6 +208,7 @@ def _about(run: Exportable, settings: Settings) -> dict[str, Any]:
         "version": settings.version,
         "attacked_from_s": round(rollout.now * rollout.dt_s, 3),
         "happened_until_s": round((rollout.tracks.steps - 1) * rollout.dt_s, 3),
+        "made": list(run.made),
         "contacts": [
             {
                 "time_s": round(one.step * rollout.dt_s, 3),

@@ -2,7 +2,8 @@
 
 It holds the scene of `exporters.scene`: after a contact the AV is not there, and the last plan of
 the opponent continues. Ids are numbers in this format: ``ids.csv`` says which is which. Headings,
-velocities and sizes have single precision there; of lanes it lacks widths and priorities.
+velocities and sizes have single precision there; of lanes it lacks widths and priorities. Nothing
+in the message can mark people who were made: rows ``made`` of ``ids.csv`` do.
 """
 
 from collections.abc import Iterable, Sequence
@@ -46,6 +47,11 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
         {"kind": sort, "number": number, "id": name}
         for (sort, name), number in [*tracks.of.items(), *features.of.items()]
         if str(number) != name
+    ]
+    rows += [
+        {"kind": "made", "number": number, "id": name}
+        for (_, name), number in tracks.of.items()
+        if name in run.made
     ]
     with files.writing(path), files.whole_folder(path) as folder:
         (folder / RECORDS).write_bytes(packed(message))

@@ -104,6 +104,20 @@ def test_writing_again_replaces_it_and_gives_the_same_bytes(name, tmp_path):
     assert contents(path) == before
 
 
+@pytest.mark.parametrize("name", [one for one in NAMES if "scene" not in one.values])
+def test_it_says_who_was_made_and_says_it_of_nobody_else(name, tmp_path):
+    """`scene` is left out: the format of recordings has no word for it, only the id."""
+    exporter, case = plugins.load("exporters", name), recorded(tmp_path)
+    settings, rollout, found = plugins.settings("exporters", name, {}), attacked(), []
+    for number, made in enumerate([(), ("b",), rollout.tracks.ids[1:]]):
+        path = tmp_path / str(number)
+        run = replace(Exportable.of(rollout, case), made=made)
+        exporter.write(run, path, settings)
+        found.append(b"".join(contents(path).values()))
+    assert len({*found}) == 3  # nothing else differs
+    assert b"made" in found[1]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_path_that_cannot_be_written_is_an_error_that_names_it(name, tmp_path):
     case = recorded(tmp_path)
