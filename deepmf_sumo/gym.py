@@ -33,6 +33,7 @@ from deepmf_sumo.scene.geometry.ground import off_level
 from deepmf_sumo.scene.scene import HISTORY_STEPS
 from deepmf_sumo.spec import Spec, profiles, tasks
 from deepmf_sumo.study.sweep import episode
+from deepmf_sumo.sumo.simulation.in_sight import InSight
 
 try:
     _gymnasium: Any = importlib.import_module("gymnasium")
@@ -141,16 +142,18 @@ class ObservationBuilder:
         """The view at the AV's last step, without a path: no planner gets this view."""
         tracks = rollout.tracks
         step = int(np.flatnonzero(tracks.valid[tracks.row(rollout.av_id)])[-1])
-        shown = tracks.window(max(0, step + 1 - HISTORY_STEPS), step + 1)
-        return View(
+        view = View(
             step=step,
             dt_s=rollout.dt_s,
             av_id=rollout.av_id,
-            history=shown.select(np.flatnonzero(shown.valid[:, -1]).tolist()),
+            history=tracks.window(max(0, step + 1 - HISTORY_STEPS), step + 1),
             road=case.road,
             signals=rollout.signals[-1],
             steps_left=rollout.now + case.duration_steps - step,
         )
+        shown = (InSight().limited(view) if case.in_sight else view).history
+        there = np.flatnonzero(shown.valid[:, -1]).tolist()
+        return replace(view, history=shown.select(there))
 
     def _agents(self, view: View, me: int, origin: Floats, heading: float) -> Floats:
         tracks = view.history

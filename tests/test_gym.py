@@ -3,7 +3,7 @@
 import importlib
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from deepmf_sumo.sumo.simulation.sumo_api import sumo_seed
 
 from tests.support import tiny_network
 from tests.support.predictor_doubles import view_of
+from tests.support.rollout_doubles import case_of, rollout_of, straight
 
 pytestmark = pytest.mark.sumo
 
@@ -276,3 +277,21 @@ def test_a_vehicle_on_the_bridge_above_is_not_observed():
         agents = observer.observe(replace(view, history=history, road=road))["agents"]
         at = {"over": (9.0, 5.0), "ahead": (29.0, 0.0)}
         assert [tuple(row[1:3]) for row in agents.tolist() if row[0]] == [at[one] for one in seen]
+
+
+@pytest.mark.parametrize(("in_sight", "seen"), [(False, ["truck", "child"]), (True, ["truck"])])
+def test_the_last_observation_shows_no_more_than_the_ones_before(in_sight, seen):
+    """A child stands behind a truck beside the lane; both are to the AV's right."""
+    pytest.importorskip("gymnasium")
+    paths = {"av": straight(0, 0, 0.0), "truck": straight(20, -3.6, 0.0)}
+    rollout = rollout_of({**paths, "child": straight(30, -6.0, 0.0)}, opponent_id="child")
+    tracks = rollout.tracks
+    size = [(4.8, 2.0, 1.5), (12.0, 2.5, 3.5), (0.5, 0.5, 1.2)]
+    tracks = replace(tracks, size_m=np.array(size))
+    rollout = replace(rollout, tracks=tracks, signals=(MappingProxyType({}),))
+    observer = importlib.import_module(MODULE).ObservationBuilder(4)
+    case = replace(case_of(), in_sight=in_sight)
+    agents = observer.observe(observer.last_view(rollout, case))["agents"]
+    at = {"truck": (20.0, -3.6), "child": (30.0, -6.0)}
+    places = [(round(x, 3), round(y, 3)) for there, x, y, *_ in agents.tolist() if there]
+    assert places == [at[one] for one in seen]
