@@ -1,9 +1,8 @@
 """One episode: the loop over a simulated world."""
 
-import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
 from typing import Literal, Protocol
 
 import numpy as np
@@ -14,11 +13,10 @@ from deepmf_sumo.planners.base import FixedPlanner, Planner
 from deepmf_sumo.scene import AgentId, Case, RecordedCase, Rollout, TrafficCase, VehicleModel
 from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.sumo.simulation import log_only, log_world, traffic_world
-from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.sumo.simulation.frame import Frame
 from deepmf_sumo.sumo.simulation.gui import GuiWindow
 from deepmf_sumo.sumo.simulation.in_sight import InSight
-from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, timed
 from deepmf_sumo.sumo.simulation.sumo_api import Backend, SumoApi
 from deepmf_sumo.sumo.simulation.world import World
 
@@ -105,18 +103,18 @@ def run(
 ) -> Rollout:
     """The loop: plan, drive, step and record until a hit ends it or the time is over."""
     seconds: dict[str, float] = defaultdict(float)
-    with _timed(seconds, "policy"):
-        record = _begun(case, world, policy, rng)
+    with timed(seconds, "policy"):
+        record = EpisodeRecord.begun(case, world, policy, rng)
     ended: Literal["time", "contact", "av_gone"] = "time"
     leaders, lights = [], []
     sight = InSight() if case.in_sight else None
     while record.step < record.end:
-        with _timed(seconds, "policy"):
+        with timed(seconds, "policy"):
             record.replan()
-        with _timed(seconds, "planner"):
+        with timed(seconds, "planner"):
             view = record.view(world.av.path())
             command = planner.act(view if sight is None else sight.limited(view))
-        with _timed(seconds, "simulation"):
+        with timed(seconds, "simulation"):
             attackers = record.schedule.attackers
             frame = world.step(command, record.schedule.advance(record.step + 1))
             over = record.add(frame)
@@ -135,31 +133,3 @@ def run(
     return record.rollout(
         ended, world.events, seconds=dict(seconds), leaders=leaders, signals=lights
     )
-
-
-def _begun(
-    case: Case, world: World, policy: Policy | None, rng: np.random.Generator
-) -> EpisodeRecord:
-    """The record of the history, with the first attack."""
-    history = world.history()
-    recorder = Recorder(len(history) + case.duration_steps, world.body)
-    for frame in history:
-        recorder.add(frame)
-    return EpisodeRecord(
-        case.av_id,
-        case.road,
-        recorder,
-        history[-1],
-        case.duration_steps,
-        world.signals,
-        lambda view: AttackSchedule(policy, view, rng, case.turns, world.next_owner),
-    )
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], part: str) -> Iterator[None]:
-    begin = time.perf_counter()
-    try:
-        yield
-    finally:
-        seconds[part] += time.perf_counter() - begin

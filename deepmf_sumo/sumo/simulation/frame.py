@@ -34,6 +34,16 @@ class Pose:
     z_m: float = 0.0
 
 
+def states(poses: Sequence[Pose]) -> Floats:
+    """(N, 6) x, y, z, heading, vx, vy of poses."""
+    table = np.array(
+        [[one.x_m, one.y_m, one.z_m, one.heading_rad, one.speed_mps] for one in poses]
+    ).reshape(-1, 5)
+    course = [one.heading_rad if one.course_rad is None else one.course_rad for one in poses]
+    velocity = table[:, 4:] * frames.unit(np.array(course).reshape(-1))
+    return np.concatenate([table[:, :4], velocity], axis=1)
+
+
 _ARRAYS: Final = ("position_m", "z_m", "heading_rad", "velocity_mps", "driver")
 
 
@@ -56,22 +66,13 @@ class Frame:
     @staticmethod
     def of_poses(poses: dict[AgentId, tuple[Pose, Driver]]) -> "Frame":
         """A frame of agents that are given one by one."""
-        table = np.array(
-            [
-                [pose.x_m, pose.y_m, pose.heading_rad, pose.speed_mps, pose.z_m]
-                for pose, _ in poses.values()
-            ]
-        ).reshape(-1, 5)
-        course = [
-            pose.heading_rad if pose.course_rad is None else pose.course_rad
-            for pose, _ in poses.values()
-        ]
+        state = states([pose for pose, _ in poses.values()])
         return Frame(
             ids=list(poses),
-            position_m=table[:, :2],
-            z_m=table[:, 4],
-            heading_rad=table[:, 2],
-            velocity_mps=table[:, 3:4] * frames.unit(np.array(course)),
+            position_m=state[:, :2],
+            z_m=state[:, 2],
+            heading_rad=state[:, 3],
+            velocity_mps=state[:, 4:],
             driver=np.array([int(driver) for _, driver in poses.values()], np.uint8),
         )
 

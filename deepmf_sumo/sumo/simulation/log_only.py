@@ -2,11 +2,11 @@
 
 Where the traffic replays the log and the AV does the same whatever happens (`FixedPlanner`), SUMO
 would only move vehicles along known poses. The episode is put together here, all steps up to the
-next plan in one go, with the recorder, schedule and judge of every episode: its rollout is that of
-the loop over SUMO, without the events that tell where SUMO has the AV.
+next plan in one go, with the beginning, recorder, schedule and judge of every episode: its rollout
+is that of the loop over SUMO, without the events that tell where SUMO has the AV. In that loop it
+would take several times as long (studies/notebook/cost.md).
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,14 +27,13 @@ from deepmf_sumo.scene import (
     SignalState,
     frozen,
 )
-from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.scene.geometry.ground import clear, ground_of
 from deepmf_sumo.scene.policy import Policy
-from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose, states
 from deepmf_sumo.sumo.simulation.log_plan import check_route, recorded_body
-from deepmf_sumo.sumo.simulation.ownership import LogOwner
-from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
+from deepmf_sumo.sumo.simulation.ownership import LogOwner, NextOwner
+from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, timed
 
 
 def run(
@@ -43,34 +42,21 @@ def run(
     """The episode. Raises SimulationError as the loop over SUMO does."""
     check_route(case)
     world = _LogOnly(case, planner.fixed_poses(case.duration_steps))
-    recorder = Recorder(world.now + 1 + case.duration_steps, world.body)
-    recorder.extend(*world.states(0, world.now + 1))
-    signals = _signals(case.scene.signals, world.now + case.duration_steps)
-    begin = time.perf_counter()
-    record = EpisodeRecord(
-        case.av_id,
-        case.road,
-        recorder,
-        world.frame(world.now),
-        case.duration_steps,
-        lambda: signals[recorder.step],
-        lambda view: AttackSchedule(policy, view, rng, None, LogOwner(case.scene.tracks)),
-    )
-    seconds = {"planner": 0.0, "policy": time.perf_counter() - begin, "simulation": 0.0}
+    seconds = dict.fromkeys(("planner", "policy", "simulation"), 0.0)
+    with timed(seconds, "policy"):
+        record = EpisodeRecord.begun(case, world, policy, rng)
     hit = False
     while record.step < record.end and not hit:
-        begin = time.perf_counter()
-        record.frame = world.frame(record.step)
-        record.replan()
-        planned = time.perf_counter()
-        hit = _advance(world, record)
-        seconds["policy"] += planned - begin
-        seconds["simulation"] += time.perf_counter() - planned
+        with timed(seconds, "policy"):
+            record.frame = world.frame(record.step)
+            record.replan()
+        with timed(seconds, "simulation"):
+            hit = _advance(world, record)
     return record.rollout(
         "contact" if hit else "time",
         seconds=seconds,
         leaders=(None,) * (record.step - record.now),
-        signals=signals[record.now : record.step],
+        signals=world.lights[record.now : record.step],
     )
 
 
@@ -98,6 +84,7 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
             stop = step
             break
     record.recorder.extend(*world.states(first, stop + 1))
+    world.step = stop
     return bool(judge.hits(stop))
 
 
@@ -107,30 +94,44 @@ class _LogOnly:
     Args:
         case: with a recording.
         av_poses: (K, 4) x, y, heading, speed of the AV after now.
+
+    Attributes:
+        step: the last one that is over.
+        lights: the recorded ones at each step up to the end.
     """
 
     def __init__(self, case: RecordedCase, av_poses: Floats) -> None:
         scene = case.scene
-        self.now = scene.now
+        self.step = scene.now
+        end = scene.now + case.duration_steps
+        self.lights = _signals(scene.signals, end)
+        self.next_owner: NextOwner = LogOwner(scene.tracks)
         self._tracks = scene.tracks
         self._size_m = scene.tracks.size_m[:, :2]
         self._av = scene.tracks.row(case.av_id)
-        log = _logged(scene, scene.now + 1 + case.duration_steps)
+        log = _logged(scene, end + 1)
         self._state, self._driver = log.state.copy(), log.driver.copy()
         self._ground = ground_of(case.road)
-        after = np.arange(len(av_poses)) + self.now + 1
-        self._drive(self._av, after, av_poses, av_poses[:, 2], Driver.PLANNER)
+        after = np.arange(len(av_poses)) + self.step + 1
+        poses = [
+            Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=speed)
+            for x, y, heading, speed in av_poses.tolist()
+        ]
+        self._drive(self._av, after, states(poses), Driver.PLANNER)
+
+    def history(self) -> list[Frame]:
+        """The frames up to now."""
+        return [self.frame(step) for step in range(self.step + 1)]
+
+    def signals(self) -> dict[str, SignalState]:
+        """The recorded lights after the last step."""
+        return self.lights[self.step]
 
     def drive(self, agent: AgentId, poses: dict[int, Pose]) -> None:
         """Put an attacker or a supporter on poses, by step."""
-        if not poses:
-            return
-        table = [[at.x_m, at.y_m, at.heading_rad, at.speed_mps] for at in poses.values()]
-        course = [
-            at.heading_rad if at.course_rad is None else at.course_rad for at in poses.values()
-        ]
-        row, steps = self._tracks.row(agent), np.array(list(poses))
-        self._drive(row, steps, np.array(table), np.array(course), Driver.POLICY)
+        if poses:
+            given = states(list(poses.values()))
+            self._drive(self._tracks.row(agent), np.array(list(poses)), given, Driver.POLICY)
 
     def frame(self, step: int) -> Frame:
         """The agents present at a step, in the order of SUMO's worlds: the driven ones last."""
@@ -192,17 +193,14 @@ class _LogOnly:
             found |= {first + int(step) for step in np.flatnonzero(begins.any(axis=0))}
         return found
 
-    def _drive(
-        self, row: int, steps: Ints, poses: Floats, course_rad: Floats, driver: Driver
-    ) -> None:
-        """Put an agent on poses (K, 4) at steps (K), moving along courses (K)."""
+    def _drive(self, row: int, steps: Ints, given: Floats, driver: Driver) -> None:
+        """Put an agent into states (K, 6) at steps (K); heights follow the ground."""
         state = self._state[row]
         before = int(steps[0]) - 1
-        way = np.concatenate([state[before : before + 1, :2], poses[:, :2]])
-        state[steps, 2] = self._ground.follow(way[None], state[before : before + 1, 2])[0, 1:]
-        state[steps, :2] = poses[:, :2]
-        state[steps, 3] = poses[:, 2]
-        state[steps, 4:] = poses[:, 3:] * frames.unit(course_rad)
+        way = np.concatenate([state[before : before + 1, :2], given[:, :2]])
+        z_m = self._ground.follow(way[None], state[before : before + 1, 2])[0, 1:]
+        state[steps] = given
+        state[steps, 2] = z_m
         self._driver[row, steps] = driver
 
 
@@ -236,5 +234,4 @@ def _logged(scene: Scene, steps: int) -> _Log:
 @lru_cache(maxsize=4)
 def _signals(signals: Signals, end: int) -> tuple[dict[str, SignalState], ...]:
     """The recorded lights at all steps up to the end, as `ReplayedSignals` has them."""
-    last = signals.state.shape[1] - 1
-    return tuple(signals.at(min(step, last)) for step in range(end + 1))
+    return tuple(signals.at(step) for step in range(end + 1))

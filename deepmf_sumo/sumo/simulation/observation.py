@@ -41,7 +41,7 @@ class ReplayedSignals:
 
     def states(self, step: int) -> dict[str, SignalState]:
         """The recorded states at a step, by lane id."""
-        return self._signals.at(min(step, self._signals.state.shape[1] - 1))
+        return self._signals.at(step)
 
     def show(self, step: int) -> None:
         """Set all lights to the recording's states at a step."""

@@ -1,6 +1,8 @@
 """Records an episode: the state of every agent, the attacks on the AV, and the contacts."""
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from deepmf_sumo.scene import (
     AgentId,
     AgentKind,
     Bytes,
+    Case,
     Driver,
     Event,
     Floats,
@@ -21,9 +24,11 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.plan import TurnEnd
+from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
 from deepmf_sumo.sumo.simulation.contacts import ContactFinder
 from deepmf_sumo.sumo.simulation.frame import Body, Frame
+from deepmf_sumo.sumo.simulation.world import BeginningWorld
 
 
 class Recorder:
@@ -141,6 +146,16 @@ class Recorder:
         return row
 
 
+@contextmanager
+def timed(seconds: dict[str, float], part: str) -> Iterator[None]:
+    """Add the time that the context takes to that of a part."""
+    begin = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[part] += time.perf_counter() - begin
+
+
 class EpisodeRecord:
     """One AV under attack: its recorder, the schedule of attacks, and the judge of contacts.
 
@@ -177,6 +192,25 @@ class EpisodeRecord:
         self.schedule = schedule(self.view())
         self.judge = ContactFinder(av_id, self.schedule.attackers)
         self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
+
+    @classmethod
+    def begun(
+        cls, case: Case, world: BeginningWorld, policy: Policy | None, rng: np.random.Generator
+    ) -> "EpisodeRecord":
+        """The record of a world's history, with the first attack."""
+        history = world.history()
+        recorder = Recorder(len(history) + case.duration_steps, world.body)
+        for frame in history:
+            recorder.add(frame)
+        return cls(
+            case.av_id,
+            case.road,
+            recorder,
+            history[-1],
+            case.duration_steps,
+            world.signals,
+            lambda view: AttackSchedule(policy, view, rng, case.turns, world.next_owner),
+        )
 
     @property
     def step(self) -> int:

@@ -26,18 +26,8 @@ class DrivenAv(Protocol):
         ...
 
 
-class World(Protocol):
-    """A simulated world at the current step of a case; only `step` changes it."""
-
-    @property
-    def av(self) -> DrivenAv:
-        """The AV in it."""
-        ...
-
-    @property
-    def events(self) -> list[Event]:
-        """What qualifies the result; grows with the steps."""
-        ...
+class BeginningWorld(Protocol):
+    """A world at the current step of a case, before anything moves it."""
 
     def history(self) -> list[Frame]:
         """The frames up to the current step, oldest first, at least `HISTORY_STEPS` of them."""
@@ -54,6 +44,20 @@ class World(Protocol):
     @property
     def next_owner(self) -> NextOwner:
         """What drives opponents where no plan does."""
+        ...
+
+
+class World(BeginningWorld, Protocol):
+    """A simulated world; only `step` changes it."""
+
+    @property
+    def av(self) -> DrivenAv:
+        """The AV in it."""
+        ...
+
+    @property
+    def events(self) -> list[Event]:
+        """What qualifies the result; grows with the steps."""
         ...
 
     def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
