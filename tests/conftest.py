@@ -14,6 +14,7 @@ from tests.support import (
     road_user_invariant,
     started_programs,
     tiny_network,
+    walked_ground,
 )
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -76,6 +77,7 @@ def _road_users():
 def _nothing_jumps():
     with pytest.MonkeyPatch.context() as patch:
         continuity.use(patch)
+        walked_ground.use(patch)
         yield
 
 

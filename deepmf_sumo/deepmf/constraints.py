@@ -358,7 +358,7 @@ def _state(view: View, agent_id: AgentId) -> VehicleState:
 class Clean(Constraint):
     """Up to its collision the candidate does not leave the road, nor touch another agent.
 
-    A pedestrian may walk anywhere, but meets the AV on the road, as of `OnRoad`. Agents that it
+    A pedestrian comes from beside the road, but meets the AV on it, as of `OnRoad`. Agents that it
     touches at the first step do not count.
     """
 

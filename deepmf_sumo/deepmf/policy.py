@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepmf_sumo.deepmf import candidates, constraints, scoring, support
+from deepmf_sumo.deepmf import candidates, constraints, scoring, support, walked_ground
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.experience import Experience, Predicted
@@ -297,6 +297,8 @@ class DeepMF:
             parts += candidates.tail(situation, FUTURE_STEPS)
         watch.lap("goals")
         references = References.joined(parts)
+        if situation.person:
+            references = walked_ground.staying(situation, references)
         tracked = track(references.position_m, start, references.limits)
         watch.lap("track")
         probability = candidates.weights(modes, tracked.position_m[count:], prediction)
@@ -304,6 +306,8 @@ class DeepMF:
         if settings.comfort > 0.0:
             probability = candidates.comfortable(situation, probability, tracked, settings.comfort)
         own = candidates.ranked(references, tracked, probability, modes)
+        if situation.person:
+            own = walked_ground.among(situation, own)
         if settings.most_candidates is not None:
             most, without = settings.most_candidates, settings.constrained
             own = candidates.shortlisted(situation, own, most, without, attack.begun)

@@ -10,7 +10,7 @@ import numpy as np
 from deepmf_sumo.scene._arrays import Bools, Bytes, Floats, Frozen, frozen
 
 LaneKind = Literal["unknown", "freeway", "street", "bike"]
-PolygonKind = Literal["crosswalk", "speed_bump", "driveway", "building"]
+PolygonKind = Literal["crosswalk", "speed_bump", "driveway", "building", "footway", "water"]
 
 
 LINE_TYPES: Final = 9
@@ -98,7 +98,7 @@ class Polyline(Frozen):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Polygon(Frozen):
-    """A crosswalk, speed bump, driveway or building: closed without repeating the first point."""
+    """A crosswalk, building or other area: closed without repeating the first point."""
 
     id: str
     kind: PolygonKind
@@ -120,7 +120,9 @@ class StopSign(Frozen):
 class RoadMap:
     """All known features of the road; ``lanes`` by id, in the source's order.
 
-    ``buildings`` beside it hide road users (`geometry.sight`); recordings have none.
+    Recordings have none of what is beside the road. ``buildings`` hide road users
+    (`geometry.sight`), and with ``water`` keep people away (`geometry.walkable`). ``footways`` are
+    sidewalks and other areas for people, and tracks of trams; None: the source maps none.
     """
 
     lanes: dict[str, Lane]
@@ -129,6 +131,8 @@ class RoadMap:
     polygons: tuple[Polygon, ...] = ()
     stop_signs: tuple[StopSign, ...] = ()
     buildings: tuple[Polygon, ...] = ()
+    footways: tuple[Polygon, ...] | None = None
+    water: tuple[Polygon, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

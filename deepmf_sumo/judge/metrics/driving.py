@@ -17,6 +17,7 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import frames, polylines, road
 from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import RoadUser, road_user
 from deepmf_sumo.scene.signals import FORBIDS, HALTS
 
@@ -103,17 +104,22 @@ def _follows(rollout: Rollout, row: int, steps: Bools, user: RoadUser) -> Bools:
 def _on_road(episode: Episode) -> float:
     """Share of the driven steps at which the opponent's centre is on the road.
 
-    Human drivers do not reach 1 everywhere: driveways and car parks have no lanes.
+    Human drivers do not reach 1 everywhere: driveways and car parks have no lanes. To people,
+    whatever they can walk on or cross is road.
     """
-    rollout = episode.rollout
-    places = _slices.places(rollout, _slices.driving(rollout))
-    return float(road.on_road(episode.case.road, *places).mean())
+    rollout, road_map = episode.rollout, episode.case.road
+    driving = _slices.driving(rollout)
+    places = _slices.places(rollout, driving)
+    if rollout.tracks.kinds[driving.row] in {"pedestrian", "cyclist"}:
+        return float(walkable(road_map).holds(*places).mean())
+    return float(road.on_road(road_map, *places).mean())
 
 
 @metric("1", better="higher")
 def on_road(episode: Episode) -> float:
     """Share of the steps driven by the policy at which the opponent's centre is within half a width
-    (3.7 m where unknown) and 0.5 m of the centre line of a lane for cars.
+    (3.7 m where unknown) and 0.5 m of the centre line of a lane for cars; of a pedestrian or a
+    cyclist: where people can be (``scene.geometry.walkable``).
     """
     return _on_road(episode)
 
@@ -121,7 +127,8 @@ def on_road(episode: Episode) -> float:
 @metric("1", better="lower")
 def offroad_share(episode: Episode) -> float:
     """Share of the steps driven by the policy at which the centre of the opponent is farther than
-    half a width (3.7 m where unknown) and 0.5 m from the centre line of every lane for cars.
+    half a width (3.7 m where unknown) and 0.5 m from the centre line of every lane for cars; of a
+    pedestrian or a cyclist: where nobody can be (``scene.geometry.walkable``).
     """
     return 1.0 - _on_road(episode)
 

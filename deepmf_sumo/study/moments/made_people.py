@@ -16,6 +16,7 @@ import shapely
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import DT_S, AgentId, Floats, MadePlace, MadeRoadUser, Rollout, TrafficCase
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.spec import GivenPerson, PersonPlace, WantedPeople
 from deepmf_sumo.study.moments.roadside import GAP_M, Roadside, Side
@@ -127,6 +128,9 @@ def _one_at(
     walked = [one for one in found if here.walked[one.at]]
     if not walked:
         return None, "nobody walks along the AV's road there"
+    walked = [one for one in walked if _where_people_can_be(one, here, case)]
+    if not walked:
+        return None, "buildings or water are where somebody could be"
     timely = [one for one in walked if _in_time(one, here)]
     if not timely:
         return None, f"{_WHERE[place]} is not where anybody gets onto the AV's way in time"
@@ -136,6 +140,12 @@ def _one_at(
         if here.free(_poses(one, here), size_m, poses):
             return one, ""
     return None, f"other road users are where somebody could be {_WHERE[place]}"
+
+
+def _where_people_can_be(one: _Candidate, here: Roadside, case: TrafficCase) -> bool:
+    points_m = one.position_m[None] if one.way_m is None else one.way_m
+    z_m = np.full(len(points_m), here.z_m[one.at])
+    return bool(walkable(case.road).holds(points_m, z_m).all())
 
 
 _WHERE: Final[dict[PersonPlace, str]] = {

@@ -1,7 +1,7 @@
 """The road map of a SUMO network, as predictors, rules and metrics read it."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -184,7 +184,8 @@ _ON_FOOT: Final = {"crossing", "walkingarea"}
 _VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 _FREEWAY_MPS: Final = 24.0
 """Limits above 86 km/h are those of roads without crossings."""
-_POLYGONS: Final = ("crosswalk", "speed_bump", "driveway", "building")
+_POLYGONS: Final = ("crosswalk", "speed_bump", "driveway", "building", "water")
+_BESIDE_ROADS: Final = {"building", "water"}
 _STOP_STATES: Final = "sw"
 """States of links behind a stop sign: stop, all-way stop."""
 
@@ -200,8 +201,8 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     Args:
         net_file: .net.xml or .net.xml.gz.
         additional: additional files; their polygons of type crosswalk, speed_bump or driveway are
-            taken, and as buildings those of type building or building.SOMETHING, as polyconvert
-            writes them.
+            taken, and as buildings and water those of these types or building.SOMETHING, as
+            polyconvert writes them.
 
     Raises SimulationError if a file cannot be read or is of another kind.
     """
@@ -238,9 +239,11 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         | straight,
         lines=lines,
         edges=edges,
-        polygons=(*_crossings(net), *(shape for shape in shapes if shape.kind != "building")),
+        polygons=(*_crossings(net), *(one for one in shapes if one.kind not in _BESIDE_ROADS)),
         stop_signs=_stop_signs(net, set(lanes)),
         buildings=tuple(shape for shape in shapes if shape.kind == "building"),
+        footways=tuple(_footways(net, lanes)),
+        water=tuple(shape for shape in shapes if shape.kind == "water"),
     )
 
 
@@ -367,12 +370,34 @@ def _crossings(net: NetFile) -> list[Polygon]:
     return found
 
 
+def _footways(net: NetFile, known: Container[str]) -> Iterator[Polygon]:
+    """Walking areas; sidewalks, paths and tracks of trams, whose lanes no road map has."""
+    for edge in net.edges.values():
+        if edge.function in {"crossing", "connector"}:
+            continue
+        for lane in edge.lanes:
+            shape = lane.shape_m
+            if edge.function != "walkingarea":
+                people = lane.allows("pedestrian") or lane.allows("tram")
+                if lane.id in known or not people or len(shape) < 2:
+                    continue
+                left, right = (
+                    _beside("", 0, lane.shape_m, side * lane.width_m / 2).points_m
+                    for side in (1, -1)
+                )
+                shape = np.column_stack(
+                    [np.vstack([left, right[::-1]]), np.append(shape[:, 2], shape[::-1, 2])]
+                )
+            if len(shape) > 2:
+                yield Polygon(id=lane.id, kind="footway", points_m=shape[:, :2], z_m=shape[:, 2])
+
+
 def _polygons(file: Path) -> list[Polygon]:
     """Polygons of an additional file, of the kinds that road maps have."""
     found = []
     for element in elements(file, "additional"):
         kind = element.get("type", "")
-        kind = "building" if kind.startswith("building.") else kind
+        kind = next((one for one in _BESIDE_ROADS if kind.startswith(f"{one}.")), kind)
         if element.tag == "poly" and kind in _POLYGONS:
             try:
                 shape = points(element.get("shape", ""))

@@ -16,8 +16,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.scene import AgentId, Floats, MadeRoadUser
+from deepmf_sumo.scene import AgentId, Floats, MadeRoadUser, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.walkable import Walkable, walkable
 from deepmf_sumo.scene.road_users import ROAD_USERS, RoadUser
 from deepmf_sumo.sumo.network.carriageway import Carriageway, driver_of
 from deepmf_sumo.sumo.simulation.frame import Body, Pose
@@ -30,6 +31,8 @@ _AHEAD_M: Final = 0.5
 BESIDE_M: Final = 0.5
 """Between the road and the box of a person who has left it."""
 _REACH_M: Final = 25.0
+_SPACING_M: Final = 0.5
+"""Of the places beside the road that are looked at."""
 _ANYWHERE_M: Final = 1000.0
 """SUMO inserts a vehicle near a lane alone; it is put exactly where it belongs all the same."""
 
@@ -94,27 +97,31 @@ class WayOff(Walk):
         pose: the last one of the policy.
         user: its class.
         roads: where vehicles drive.
+        road: says where people can be.
     """
 
-    def __init__(self, pose: Pose, user: RoadUser, roads: Carriageway) -> None:
+    def __init__(self, pose: Pose, user: RoadUser, roads: Carriageway, road: RoadMap) -> None:
         limits = user.motion.planned
         here = np.array([pose.x_m, pose.y_m])
         stop_m = pose.speed_mps**2 / (2 * limits.brake)
         comes_to = here + stop_m * frames.unit(np.array(pose.heading_rad))
-        super().__init__(
-            pose, limits, _beside(comes_to, user, roads.near(here, _REACH_M, pose.z_m))
-        )
+        away_m = BESIDE_M + max(user.size_m[:2]) / 2
+        kept = shapely.buffer(roads.near(here, _REACH_M, pose.z_m), away_m)
+        super().__init__(pose, limits, _beside(comes_to, kept, pose.z_m, walkable(road)))
 
 
-def _beside(place_m: Floats, user: RoadUser, carriageway: BaseGeometry) -> Floats:
-    """The nearest place (2,) at which a box of a class is beside the carriageway."""
-    away_m = BESIDE_M + max(user.size_m[:2]) / 2
-    kept = shapely.buffer(carriageway, away_m)
+def _beside(place_m: Floats, kept: BaseGeometry, z_m: float, ground: Walkable) -> Floats | None:
+    """The nearest place (2,) that is not in an area, and where people can be; None without any."""
     place = shapely.Point(*place_m)
     if not kept.contains(place):
         return place_m
-    way = shapely.shortest_line(shapely.boundary(kept), place)
-    return np.asarray(shapely.get_coordinates(way)[0], float)
+    border = shapely.boundary(kept)
+    nearest = shapely.get_coordinates(shapely.shortest_line(border, place))[:1]
+    others = shapely.get_coordinates(shapely.segmentize(border, _SPACING_M))
+    order = np.argsort(np.hypot(*(others - place_m).T), kind="stable")
+    places = np.concatenate([nearest, others[order]])
+    free = np.flatnonzero(ground.holds(places, np.full(len(places), z_m)))
+    return places[free[0]] if len(free) else None
 
 
 class MadePeople:
@@ -124,15 +131,20 @@ class MadePeople:
         api: a running SUMO.
         made: who is there.
         roads: where vehicles drive.
+        road: the map, which says where people can be.
 
     Attributes:
         ids: of all of them.
     """
 
     def __init__(
-        self, api: SumoApi, made: Sequence[MadeRoadUser], roads: Callable[[], Carriageway]
+        self,
+        api: SumoApi,
+        made: Sequence[MadeRoadUser],
+        roads: Callable[[], Carriageway],
+        road: RoadMap,
     ) -> None:
-        self._api, self._roads = api, roads
+        self._api, self._roads, self._road = api, roads, road
         self._made = {one.id: one for one in made}
         self.ids = frozenset(self._made)
         self._taken: dict[AgentId, Pose] = {}
@@ -191,7 +203,7 @@ class MadePeople:
             if name in self._taken:
                 user = ROAD_USERS[one.road_user]
                 pose = self._taken.pop(name)
-                self._leaving[name] = WayOff(pose, user, self._roads())
+                self._leaving[name] = WayOff(pose, user, self._roads(), self._road)
             if name in self._leaving:
                 found[name] = self._leaving[name].next(partial(clear, name))
             else:

@@ -236,7 +236,7 @@ class TrafficWorld:
         """The made people of a case, known to all who ask what an agent is."""
         only = None if case.only is None else set(case.only)
         made = [one for one in case.made if only is None or one.id in only]
-        found = MadePeople(self._api, made, partial(carriageway_of, case.net_file))
+        found = MadePeople(self._api, made, partial(carriageway_of, case.net_file), case.road)
         for agent, body in found.bodies().items():
             self._reader.bodies.declare(agent, body)
         return found

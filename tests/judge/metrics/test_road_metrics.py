@@ -47,8 +47,10 @@ def lit(state, red_until=91):
     )
 
 
-def measured(name, path, case):
+def measured(name, path, case, kind="vehicle"):
     rollout = rollout_of({"av": AV, "b": path})
+    tracks = dataclasses.replace(rollout.tracks, kinds=("vehicle", kind))
+    rollout = dataclasses.replace(rollout, tracks=tracks)
     lights = tuple(case.scene.signals.at(step) for step in range(10, 90))
     shown = dataclasses.replace(rollout, signals=lights)
     return plugins.load("metrics", name).measure(shown, case).value
@@ -59,6 +61,10 @@ def test_off_the_road():
     leaving[71:, 1] = -5.0  # onto the cycle lane, for the last 20 of 80 steps
     assert measured("offroad_share", leaving, case_on(crossroads())) == pytest.approx(0.25)
     assert measured("on_road", leaving, case_on(crossroads())) == pytest.approx(0.75)
+    as_cyclist = measured("offroad_share", leaving, case_on(crossroads()), "cyclist")
+    assert as_cyclist == 0.0  # people can be there
+    leaving[51:71, 1] = 300.0
+    assert measured("on_road", leaving, case_on(crossroads()), "pedestrian") == pytest.approx(0.75)
     assert not on_road(crossroads(), np.array([[0.0, 20.0]])).any()
     assert on_road(crossroads(), np.empty((0, 2))).shape == (0,)
     assert not on_road(RoadMap(lanes={}), np.zeros((3, 2))).any()

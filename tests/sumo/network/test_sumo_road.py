@@ -11,6 +11,8 @@ from deepmf_sumo.sumo import network
 from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, road_once, signal_links
 
+from tests.support import pavements
+
 pytestmark = pytest.mark.sumo
 
 
@@ -204,10 +206,32 @@ def test_buildings_are_kept_apart_from_what_is_painted_on_the_road(grid, tmp_pat
         f'<poly id="b" type="building.apartments" shape="{square}"/>'
         f'<poly id="c" type="landuse.forest" shape="{square}"/>'
         f'<poly id="d" type="driveway" shape="{square}"/>'
+        f'<poly id="e" type="water" shape="{square}"/>'
         "</additional>"
     )
     plain, road = road_of_net(grid), road_of_net(grid, [file])
     assert [one.id for one in road.buildings] == ["a", "b"]
     assert road.buildings[0].points_m.shape == (4, 2)
     assert [one.id for one in road.polygons] == [*(one.id for one in plain.polygons), "d"]
-    assert plain.buildings == ()
+    assert [one.id for one in road.water] == ["e"]
+    assert plain.buildings == plain.water == ()
+
+
+def test_footways_are_the_sidewalks_and_walking_areas(tmp_path):
+    """As sumolib reads them; lanes for vehicles, bicycles included, are none."""
+    pavements.build(tmp_path)
+    net_file = tmp_path / "pavements.net.xml"
+    found = {one.id: shapely.Polygon(one.points_m) for one in road_of_net(net_file).footways}
+    net = sumolib.net.readNet(str(net_file), withInternal=True, withPedestrianConnections=True)
+    lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+    walked = {one.getID(): one for one in lanes if one.getPermissions() == {"pedestrian"}}
+    assert len(found) > 8
+    assert {*found} == {n for n, one in walked.items() if one.getEdge().getFunction() != "crossing"}
+    for name, area in found.items():
+        shape = walked[name].getShape()
+        if walked[name].getEdge().getFunction() == "walkingarea":
+            assert area.equals(shapely.Polygon(shape))
+        else:
+            line = shapely.LineString(shape)
+            assert area.area == pytest.approx(2.0 * line.length, rel=1e-3)
+            assert shapely.LineString(shape).buffer(0.9, cap_style="flat").within(area)
