@@ -5,8 +5,11 @@ The parameters are those of AdvSim (Wang et al., CVPR 2021): changes of accelera
 over time, added to those of the reference. The reference's curvature is a function of the distance
 along its path, not of time: a vehicle that brakes before a bend takes the bend later.
 
-The models of `deepmf.tracking` (a controller) and `baselines.priors.bicycle`
-(differentiable) integrate other states; the three give different trajectories for equal controls.
+Four single tracks are four models on purpose. `deepmf.tracking` follows a path with its centre and
+trails the rear axle; here the rear axle is steered, and limits depend on the distance driven, so
+that steps follow one another; `baselines._king_descent` integrates the same arcs all together,
+differentiably, every 0.2 s; the network of `baselines.priors.bicycle` was trained with the centre
+as its axle. What they share, axle and full lock, are those of `scene.road_users`.
 """
 
 from dataclasses import dataclass
@@ -20,8 +23,6 @@ from deepmf_sumo.scene import DT_S, Floats, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.road_users import MotionLimits
 
-_REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
-_FULL_LOCK_RAD = 0.33  # course of the centre against the heading
 _NODE_M = 0.5
 _APART_M = 1.0  # closer points of a recording show its noise rather than the path
 _SMOOTH_NODES = 9
@@ -59,7 +60,8 @@ class Bicycle:
 
     def __init__(self, scouted: Scouted, bounds: Bounds) -> None:
         self._start = Start.of(scouted.view, scouted.opponent_id)
-        self._rear_m = _REAR_AXLE * self._start.length_m
+        self._rear_m = self._start.rear_m
+        self._sharpest_per_m = np.tan(self._start.motion.slip_rad) / self._rear_m
         self._bounds = bounds
         self._accel = _accelerations(scouted.reference, self._start.speed_mps)
         self._turned = self._turns(scouted.reference, scouted.view.road)
@@ -105,7 +107,7 @@ class Bicycle:
         bounds, square = self._bounds, np.maximum(fastest**2, 1e-6)
         change = np.minimum(bounds.curvature_per_m, bounds.lateral_mps2 / square)
         turn = self._turned_by(along + way) - self._turned_by(along) + steer * change * way
-        sharpest = np.minimum(np.tan(_FULL_LOCK_RAD) / self._rear_m, bounds.total.lateral / square)
+        sharpest = np.minimum(self._sharpest_per_m, bounds.total.lateral / square)
         clipped: Floats = np.clip(turn, -sharpest * way, sharpest * way)
         return clipped
 

@@ -13,6 +13,8 @@ from torch import Tensor
 
 from deepmf_sumo.baselines._art_descent import GONE_M, Adam, circles, single
 from deepmf_sumo.scene import DT_S, Bools, Floats
+from deepmf_sumo.scene.car_following import TREIBER, desired_gap_m
+from deepmf_sumo.scene.road_users import ROAD_USERS
 
 EVERY = 2
 """Steps between the points at which motions are compared, and between two controls: 5 Hz."""
@@ -21,8 +23,6 @@ _SOFT_M = 1.0  # width of the soft minimum over time
 _DEPTH_M = 0.4  # desired overlap, so that tracking errors keep the contact
 _ROOM_M = 1.0  # that other road users should have
 _CORRIDOR_M = 0.3  # width of the edge of the AV's corridor
-_REAR_AXLE = 0.3  # distance of the rear axle behind the centre, per length
-_IDM_ACCEL, _IDM_DECEL, _IDM_GAP_M, _IDM_TIME_S, _IDM_HARDEST = 1.5, 2.0, 2.0, 1.5, 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +158,7 @@ class _Problem:
         curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
         turn = curvature * way
         heading = one.heading_rad + turn.cumsum(0)
-        rear = _REAR_AXLE * float(one.size_m[0])
+        rear = ROAD_USERS["car"].motion.rear_axle * float(one.size_m[0])
         moved = (_unit(heading - turn / 2) * way.unsqueeze(-1)).cumsum(0)
         begin = _unit(torch.tensor(one.heading_rad, dtype=torch.float32)) * rear
         return moved - begin + rear * _unit(heading), heading
@@ -205,18 +205,16 @@ class _Follower:
     def answers(self, other: Tensor) -> tuple[Tensor, Tensor]:
         """Centres (N, 2) and headings (N) of the AV that an opponent at (N, 2) meets."""
         along, inside, speed = self._on_path(other)
+        most, hardest = TREIBER.accel_mps2, TREIBER.emergency_mps2
         place, pace = self._along.new_zeros(()), self._speed[0]
         places = []
         for step in range(len(other)):
             gap = along[step] - place - self._lengths
-            wanted = _IDM_GAP_M + torch.relu(
-                pace * _IDM_TIME_S
-                + pace * (pace - speed[step]) / (2 * (_IDM_ACCEL * _IDM_DECEL) ** 0.5)
-            )
+            wanted = desired_gap_m(TREIBER, pace, speed[step], torch.relu)
             there = inside[step] * torch.sigmoid((gap + self._lengths) / 0.5)
-            braking = _IDM_ACCEL * (wanted / gap.clamp_min(0.5)).square()
-            free = ((self._speed[step + 1] - pace) / _TAKEN_S).clamp(-_IDM_HARDEST, _IDM_ACCEL)
-            accel = (free - there * braking.clamp_max(20.0)).clamp_min(-_IDM_HARDEST)
+            braking = most * (wanted / gap.clamp_min(0.5)).square()
+            free = ((self._speed[step + 1] - pace) / _TAKEN_S).clamp(-hardest, most)
+            accel = (free - there * braking.clamp_max(20.0)).clamp_min(-hardest)
             after = torch.relu(pace + accel * _TAKEN_S)
             place = place + (pace + after) / 2 * _TAKEN_S
             pace = after

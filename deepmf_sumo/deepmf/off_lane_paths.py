@@ -178,7 +178,7 @@ def _radius_m(start: Start, speed_mps: Floats, limits: MotionLimits) -> Floats:
     """(G) radius of a turn at speeds (G); 0 for a pedestrian who stands now."""
     if start.motion.body == "point":
         return np.asarray(speed_mps**2 / limits.lateral * (start.speed_mps > 0))
-    narrowest = start.motion.rear_axle * start.length_m / np.sin(start.motion.slip_rad)
+    narrowest = start.rear_m / np.sin(start.motion.slip_rad)
     return np.asarray(np.maximum(speed_mps**2, _SLOWEST_MPS) / limits.lateral + narrowest)
 
 

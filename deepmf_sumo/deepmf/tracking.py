@@ -176,6 +176,11 @@ class Start:
     length_m: float
     motion: MotionModel = ROAD_USERS["car"].motion
 
+    @property
+    def rear_m(self) -> float:
+        """Distance of the rear axle behind the centre."""
+        return self.motion.rear_axle * self.length_m
+
     @classmethod
     def of(cls, view: View, agent_id: AgentId) -> "Start":
         """Current state of an agent. A vehicle that rolls backwards starts at rest.
@@ -287,7 +292,7 @@ class _SingleTrack:
         self._slip = self._course - start.heading_rad
         self._speed = np.full(candidates, start.speed_mps)
         self._along = np.zeros(candidates)
-        self._rear_m = start.motion.rear_axle * start.length_m
+        self._rear_m = start.rear_m
         self._curvature = np.sin(start.motion.slip_rad) / self._rear_m
         self._fastest_mps = max(start.motion.fastest_mps, start.speed_mps)
         self._accel, self._brake, self._lateral = np.asarray(limits, float).T

@@ -22,6 +22,9 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.road_users import usual_size_m
 
+AXLE: Final = 0.28
+"""Distance of a vehicle's axles from the centre of its box, in lengths, for formats that ask."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunRoad:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.exporters.base import Exportable, known_heights
+from deepmf_sumo.exporters.base import AXLE, Exportable, known_heights
 from deepmf_sumo.scene import Bools, Floats, Rollout, Signals, SignalState
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
@@ -34,8 +34,6 @@ FILE: Final = "openscenario/"
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
 _DATE: Final = "2000-01-01T00:00:00"
 """The same run gives the same bytes."""
-_AXLE: Final = 0.28
-"""Distance of the axles from the centre of the box, in lengths."""
 _VEHICLES: Final[dict[RoadUserClass, str]] = {
     "car": "car", "truck": "truck", "motorcycle": "motorbike", "bicycle": "bicycle",
 }  # fmt: skip
@@ -139,7 +137,7 @@ def _actors(rollout: Rollout, first: int) -> Iterator[_Actor]:
         known = class_of(tracks.kinds[row], tracks.size_m[row])
         things = "Pedestrian" if known == "pedestrian" else "MiscObject"
         category = "Vehicle" if known in _VEHICLES else things
-        axle = _AXLE * float(tracks.size_m[row, 0]) * (category == "Vehicle")
+        axle = AXLE * float(tracks.size_m[row, 0]) * (category == "Vehicle")
         heading = tracks.heading_rad[row, first:].copy()
         heading[valid] = np.unwrap(heading[valid])
         place = tracks.position_m[row, first:] - axle * frames.unit(heading)

@@ -19,7 +19,7 @@ from pydantic import Field
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters._numbers import Numbers, Sort
-from deepmf_sumo.exporters.base import Exportable, known_heights
+from deepmf_sumo.exporters.base import AXLE, Exportable, known_heights
 from deepmf_sumo.scene import Bools, Floats, Polyline, RoadMap, Tracks
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 
@@ -35,8 +35,6 @@ _CREATED: Final = "1970-01-01T00:00:00Z"
 _VEHICLES: Final[dict[RoadUserClass, str]] = {
     "car": "CAR", "truck": "HEAVY_TRUCK", "motorcycle": "MOTORBIKE", "bicycle": "BICYCLE",
 }  # fmt: skip
-_AXLE: Final = 0.28
-"""From the centre to each axle, in lengths, as in `exporters.openscenario`."""
 _NANOSECONDS: Final = 1_000_000_000
 _LINES: Final = (
     ("UNKNOWN", "UNKNOWN"), ("DASHED_LINE", "WHITE"), ("SOLID_LINE", "WHITE"),
@@ -175,8 +173,8 @@ def _fill(user: Any, tracks: Tracks, at: tuple[int, int], gained: Floats, height
         user.vehicle_classification.type = types.Type.Value(f"TYPE_{_VEHICLES[known]}")
         user.vehicle_classification.role = types.Role.Value("ROLE_CIVIL")
         axles = user.vehicle_attributes
-        _place(axles.bbcenter_to_rear, -_AXLE * length, 0.0, -height / 2)
-        _place(axles.bbcenter_to_front, _AXLE * length, 0.0, -height / 2)
+        _place(axles.bbcenter_to_rear, -AXLE * length, 0.0, -height / 2)
+        _place(axles.bbcenter_to_front, AXLE * length, 0.0, -height / 2)
 
 
 def _place(vector: Any, x: float, y: float, z: float) -> None:

@@ -17,11 +17,7 @@ from pydantic import Field
 from deepmf_sumo.planners.perception import nearest_in_corridor
 from deepmf_sumo.plugins import Settings as PluginSettings
 from deepmf_sumo.scene import Case, Command, RecordedCase, VehicleModel, View
-
-TREIBER = VehicleModel(
-    accel_mps2=1.5, decel_mps2=2.0, emergency_mps2=8.0, headway_s=1.5, gap_m=2.0, exponent=4.0
-)
-"""Treiber, Hennecke, Helbing (2000), in the range of their cars; braking capped at 8 m/s2."""
+from deepmf_sumo.scene.car_following import TREIBER
 
 METADRIVE = VehicleModel(
     accel_mps2=1.0,

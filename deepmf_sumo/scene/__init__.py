@@ -21,6 +21,7 @@ reader, a predictor or a metric is tested with arrays, without SUMO and without 
 """
 
 from deepmf_sumo.scene._arrays import Bools, Bytes, Floats, Ints, dtype_of, frozen
+from deepmf_sumo.scene.car_following import VehicleModel
 from deepmf_sumo.scene.interface import (
     AvDriver,
     Case,
@@ -34,7 +35,6 @@ from deepmf_sumo.scene.interface import (
     SumoNet,
     Traffic,
     TrafficCase,
-    VehicleModel,
     View,
 )
 from deepmf_sumo.scene.plan import (

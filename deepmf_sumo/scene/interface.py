@@ -217,24 +217,6 @@ class View(Frozen):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VehicleModel:
-    """Parameters of SUMO's IDM for the AV (Treiber, Hennecke, Helbing 2000).
-
-    Attributes:
-        desired_mps: None takes the larger of the speed limit and the recorded maximum.
-        emergency_mps2: hardest braking that the model may command.
-    """
-
-    accel_mps2: float
-    decel_mps2: float
-    emergency_mps2: float
-    headway_s: float
-    gap_m: float
-    exponent: float
-    desired_mps: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
     """One step of the AV.
 

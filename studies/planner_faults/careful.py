@@ -35,6 +35,7 @@ from deepmf_sumo.scene import (
     VehicleModel,
     View,
 )
+from deepmf_sumo.scene.car_following import TREIBER, desired_gap_m
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.ground import off_level
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS
@@ -131,7 +132,7 @@ class Careful:
         self._model: VehicleModel = idm.build(
             idm.Settings(
                 emergency_mps2=settings.hardest_mps2,
-                decel_mps2=min(idm.TREIBER.decel_mps2, settings.hardest_mps2),
+                decel_mps2=min(TREIBER.decel_mps2, settings.hardest_mps2),
                 headway_s=settings.headway_s,
                 gap_m=settings.gap_m,
                 desired_mps=settings.desired_mps,
@@ -363,9 +364,9 @@ def _trusted(
 
 def _driven(sight: _Sight) -> Floats:
     """(B, T) where the AV's centre is, going on as it does or braking with `_BRAKING`."""
-    speed, accel = sight.speed_mps, min(max(sight.accel_mps2, 0.0), idm.TREIBER.accel_mps2)
+    speed, accel = sight.speed_mps, min(max(sight.accel_mps2, 0.0), TREIBER.accel_mps2)
     if speed < WAITING_MPS:  # it is going to start
-        accel = idm.TREIBER.accel_mps2
+        accel = TREIBER.accel_mps2
     braking = _BRAKING[1:, None]
     moving = np.minimum(TIMES_S, speed / braking)
     braked = speed * moving - braking * moving**2 / 2
@@ -400,8 +401,7 @@ def _least(values: Floats, earlier: int, later: int) -> Floats:
 
 def idm_accel(model: VehicleModel, speed: float, gap_m: float, leader_mps: float) -> float:
     """Of the IDM behind a leader, without its part for the desired speed."""
-    brisk = 2 * np.sqrt(model.accel_mps2 * model.decel_mps2)
-    wanted = model.gap_m + max(0.0, speed * model.headway_s + speed * (speed - leader_mps) / brisk)
+    wanted = desired_gap_m(model, speed, leader_mps, lambda keep: max(0.0, keep))
     return float(model.accel_mps2 * (1 - (wanted / max(gap_m, 0.1)) ** 2))
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import field_validator
 
 from deepmf_sumo.errors import nearest
-from deepmf_sumo.planners import idm
 from deepmf_sumo.plugins import Settings as PluginSettings
 from deepmf_sumo.scene import (
     AgentId,
@@ -27,6 +26,7 @@ from deepmf_sumo.scene import (
     VehicleModel,
     View,
 )
+from deepmf_sumo.scene.car_following import TREIBER
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from studies.planner_faults import careful, unguarded
@@ -188,7 +188,7 @@ def _speeding(command: Command, view: View, _: Episode) -> Command:
     limit, speed = limit_of(view), speed_of(view)
     if command.kind != "sumo" or limit is None or speed < 0.95 * limit or _stops(view):
         return command
-    faster = speed + idm.TREIBER.accel_mps2 * view.dt_s
+    faster = speed + TREIBER.accel_mps2 * view.dt_s
     return Command(kind="speed", speed_mps=min(faster, 1.15 * limit))
 
 

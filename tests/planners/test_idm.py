@@ -10,6 +10,7 @@ from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.planners.perception import nearest_in_corridor
 from deepmf_sumo.scene import RoadMap, SumoNet, Tracks, View
+from deepmf_sumo.scene.car_following import TREIBER
 
 from tests.support.rollout_doubles import case_of
 
@@ -95,13 +96,13 @@ def test_on_a_lane_of_its_own_where_sumo_sees_nobody_the_corridor_is_used(tmp_pa
 
 
 def test_published_parameters_and_overrides():
-    assert idm.build(idm.Settings()).model == idm.TREIBER
+    assert idm.build(idm.Settings()).model == TREIBER
     metadrive = idm.build(plugins.settings("planners", "idm", {"parameters": "metadrive"})).model
     assert (metadrive.gap_m, metadrive.headway_s, metadrive.exponent) == (10.0, 1.5, 10.0)
     assert metadrive.desired_mps == pytest.approx(11.11, abs=0.01)
     changed = idm.build(idm.Settings(headway_s=0.8, desired_mps=20)).model
     assert (changed.headway_s, changed.desired_mps) == (0.8, 20.0)
-    assert changed.gap_m == idm.TREIBER.gap_m
+    assert changed.gap_m == TREIBER.gap_m
 
 
 def test_emergency_braking_is_never_below_comfortable_braking():

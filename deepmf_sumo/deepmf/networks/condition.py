@@ -30,6 +30,7 @@ from deepmf_sumo.deepmf.networks.encode import (
 from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M, PathInfo
 from deepmf_sumo.deepmf.networks.vgg import draw_future
 from deepmf_sumo.scene import DT_S
+from deepmf_sumo.scene.car_following import TREIBER
 
 EVERY: Final = 5
 """Relations look at every fifth step: 2 Hz."""
@@ -315,8 +316,6 @@ def _same_time(paths: Tensor, along_m: Tensor, other: Tensor) -> dict[GoalRelati
 
 
 _SUBSTEPS: Final = 2
-_ACCEL_MPS2, _DECEL_MPS2, _HARD_MPS2, _HEADWAY_S, _GAP_M = 1.5, 2.0, 8.0, 1.5, 2.0
-"""As `planners.idm.TREIBER`, which predictors cannot import."""
 _LENGTH_M, _WIDTH_M, _MARGIN_M = 4.8, 2.0, 0.2
 """Size of both vehicles, and the margin beside the own one that has to be free."""
 _SLOW_MPS, _FREE_MPS = 3.0, 12.0
@@ -384,22 +383,26 @@ def followed(road: Road, given: Condition, on_paths: OnPaths) -> Tensor:
 
 
 def _driven(parts: Sequence[Any], of: Any) -> Iterator[Any]:
-    """(B, K, P) distances at 2 Hz, see `followed`; arrays of ``of``, numpy or torch."""
+    """(B, K, P) distances at 2 Hz, see `followed`; arrays of ``of``, numpy or torch.
+
+    The desired gap is `desired_gap_m`, with speed factored out: an operation fewer per step.
+    """
     ahead, pace, start, slowness = parts
     # a third of the time of `clip`, which numpy and torch have in common
     least: Any = np.maximum if of is np else torch.clamp_min
-    seconds, brisk = EVERY * DT_S / _SUBSTEPS, 0.5 / (_ACCEL_MPS2 * _DECEL_MPS2) ** 0.5
+    seconds = EVERY * DT_S / _SUBSTEPS
+    brisk = 0.5 / (TREIBER.accel_mps2 * TREIBER.decel_mps2) ** 0.5
     along = of.zeros_like(ahead[0, 0])
     speed = along + start
     for step in range(len(ahead)):
         gap = ahead[step] - along
         first = of.where(gap[0] < -_LENGTH_M, _FAR_M, gap[0])  # passed: no leader any more
-        keep = (speed - pace[step // _SUBSTEPS]) * brisk + _HEADWAY_S
-        wanted = least(keep * speed, 0.0) + _GAP_M
+        keep = (speed - pace[step // _SUBSTEPS]) * brisk + TREIBER.headway_s
+        wanted = least(keep * speed, 0.0) + TREIBER.gap_m
         use = of.maximum(wanted[0] / least(first, 0.1), wanted[1] / least(gap[1], 0.1))
         busy = of.square(speed * slowness)
-        gain = _ACCEL_MPS2 * (1.0 - busy * busy - use * use)
-        faster = least(speed + least(gain, -_HARD_MPS2) * seconds, 0.0)
+        gain = TREIBER.accel_mps2 * (1.0 - busy * busy - use * use)
+        faster = least(speed + least(gain, -TREIBER.emergency_mps2) * seconds, 0.0)
         along = along + (0.5 * seconds) * (speed + faster)
         speed = faster
         if step % _SUBSTEPS == _SUBSTEPS - 1:

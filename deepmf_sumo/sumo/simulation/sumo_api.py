@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, Protocol, cast
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.scene import VehicleModel
+from deepmf_sumo.scene.car_following import TREIBER, VehicleModel
 from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.sumo.simulation import sumo_words
 
@@ -177,10 +177,6 @@ _PLACED = (
     f'<vType id="{PLACED_TYPE}" vClass="ignoring" speedFactor="10" speedDev="0" maxSpeed="100" '
     'accel="1000" decel="1000" emergencyDecel="1000" apparentDecel="4.5"/>'
 )
-_TRAFFIC = (
-    f'<vType id="{TRAFFIC_TYPE}" carFollowModel="IDM" accel="1.5" decel="2" emergencyDecel="8" '
-    'tau="1.5" minGap="2" speedFactor="1" speedDev="0"/>'
-)
 # SUMO's cars stop close behind made people. IDM draws no random numbers,
 # so that they change nothing for those who do not meet them; and they have no devices.
 _MADE = (
@@ -203,17 +199,17 @@ def _made_types() -> Iterator[str]:
 
 def write_types(path: Path, model: VehicleModel | None) -> Path:
     """Write an additional file with the types; without a model there is no AV type."""
-    lines = [_PLACED, _TRAFFIC, *_made_types()]
+    lines = [_PLACED, _driver_type(TRAFFIC_TYPE, TREIBER), *_made_types()]
     if model is not None:
-        lines.append(_av_type(model))
+        lines.append(_driver_type(AV_TYPE, model))
     path.write_text("<additional>\n    " + "\n    ".join(lines) + "\n</additional>\n", "utf-8")
     return path
 
 
-def _av_type(model: VehicleModel) -> str:
+def _driver_type(name: str, model: VehicleModel) -> str:
     fastest = "" if model.desired_mps is None else f'maxSpeed="{model.desired_mps:g}" '
     return (
-        f'<vType id="{AV_TYPE}" carFollowModel="IDM" accel="{model.accel_mps2:g}" '
+        f'<vType id="{name}" carFollowModel="IDM" accel="{model.accel_mps2:g}" '
         f'decel="{model.decel_mps2:g}" emergencyDecel="{model.emergency_mps2:g}" '
         f'tau="{model.headway_s:g}" minGap="{model.gap_m:g}" delta="{model.exponent:g}" '
         f'{fastest}speedFactor="1" speedDev="0"/>'

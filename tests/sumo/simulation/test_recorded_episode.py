@@ -8,6 +8,7 @@ import pytest
 from deepmf_sumo.errors import PlannerError, SimulationError
 from deepmf_sumo.planners import constant_velocity, idm, replay, sumo
 from deepmf_sumo.scene import Command, Driver, Plan
+from deepmf_sumo.scene.car_following import TREIBER
 from deepmf_sumo.sumo.simulation import log_world, simulate
 
 from tests.support.simulated_worlds import (
@@ -87,7 +88,7 @@ def following(tmp_path_factory):
 def test_av_stands_exactly_at_its_recorded_pose_and_speed(tmp_path, y):
     scene = scene_of(straight_road(), {"av": straight_motion(60.0, y, EAST, 12.0)})
     case = case_of(scene, tmp_path)
-    with log_world.opened(case, idm.TREIBER, "libsumo") as (_, world):
+    with log_world.opened(case, TREIBER, "libsumo") as (_, world):
         pose = world.av.sumo_pose()
         assert np.hypot(pose.x_m - 60.0, pose.y_m - y) < 1e-3
         assert abs(pose.heading_rad) < 1e-6
@@ -121,7 +122,7 @@ def test_replay_is_the_log_for_everybody(following):
 
 
 def test_sumo_has_replayed_vehicles_where_and_as_fast_as_the_log(following):
-    with log_world.opened(following, idm.TREIBER, "libsumo") as (_, world):
+    with log_world.opened(following, TREIBER, "libsumo") as (_, world):
         for _ in range(5):
             world.step(Command(kind="sumo"), {})
         vehicle, log = world._api.vehicle, following.scene.tracks
@@ -176,7 +177,7 @@ def test_corridor_brakes_earlier_than_lane_and_never_harder_than_it_may(tmp_path
     assert first_braking(corridor) + 2 <= first_braking(lane)
     for rollout in (lane, corridor):
         hardest = np.diff(speeds(rollout, "av")).min() / 0.1
-        assert hardest >= -idm.TREIBER.emergency_mps2 - 1e-6
+        assert hardest >= -TREIBER.emergency_mps2 - 1e-6
 
 
 def test_corridor_av_stops_for_a_pedestrian_that_sumo_does_not_know(tmp_path):
@@ -370,7 +371,7 @@ def test_a_bug_of_a_planner_is_laid_at_its_door_and_sumo_is_closed(following):
 class OffThenIdm:
     """Drives the AV off the road to the right within two seconds, and leaves it to SUMO there."""
 
-    model = idm.TREIBER
+    model = TREIBER
 
     def reset(self, case, rng):
         pass
