@@ -15,7 +15,9 @@ from deepmf_sumo.scene import SumoNet
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of, straight
 
 STARTS_A_PROGRAM = {"openscenario"}
-NEEDS = {"osi": "osi_utilities"}
+NEEDS = {"openodd": "openodd", "osi": "osi_utilities"}
+ABOUT_THE_AV = {"openodd", "scene"}
+"""No words for others: the former is of the AV alone, the latter has their ids."""
 
 
 def marks(name):
@@ -104,9 +106,8 @@ def test_writing_again_replaces_it_and_gives_the_same_bytes(name, tmp_path):
     assert contents(path) == before
 
 
-@pytest.mark.parametrize("name", [one for one in NAMES if "scene" not in one.values])
+@pytest.mark.parametrize("name", [one for one in NAMES if not {*one.values} & ABOUT_THE_AV])
 def test_it_says_who_was_made_and_says_it_of_nobody_else(name, tmp_path):
-    """`scene` is left out: the format of recordings has no word for it, only the id."""
     exporter, case = plugins.load("exporters", name), recorded(tmp_path)
     settings, rollout, found = plugins.settings("exporters", name, {}), attacked(), []
     for number, made in enumerate([(), ("b",), rollout.tracks.ids[1:]]):
