@@ -26,8 +26,9 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, ParamSpec, TypeVar, cast
 
 from deepmf_sumo.errors import OutputError
 
@@ -38,6 +39,8 @@ from platformdirs import user_data_path
 GZIP: Final = b"\x1f\x8b"
 """The first bytes of a gzip file."""
 
+Given = ParamSpec("Given")
+Made = TypeVar("Made")
 Instead = Callable[[Path], Sequence[Path] | None]
 
 _PIECE: Final = 2**20
@@ -191,6 +194,31 @@ def sha256(file: Path) -> str:
     for piece in pieces(file):
         found.update(piece)
     return found.hexdigest()
+
+
+def while_unchanged(most: int) -> Callable[[Callable[Given, Made]], Callable[Given, Made]]:
+    """Keep the last ``most`` results of a function of files as long as the files stay as they are.
+
+    Arguments of type `Path` are files, which need not exist. Results are shared: change none.
+    """
+
+    def keep(function: Callable[Given, Made]) -> Callable[Given, Made]:
+        kept: Callable[..., Made] = lru_cache(maxsize=most)(
+            lambda _stamps, *given, **named: function(*given, **named)
+        )
+
+        @wraps(function)
+        def latest(*given: Given.args, **named: Given.kwargs) -> Made:
+            stamps = [
+                one.stat().st_mtime_ns if one.exists() else -1
+                for one in (*given, *named.values())
+                if isinstance(one, Path)
+            ]
+            return kept(tuple(stamps), *given, **named)
+
+        return latest
+
+    return keep
 
 
 def remove_parts(folder: Path) -> None:

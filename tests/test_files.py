@@ -202,6 +202,28 @@ def test_what_a_killed_writer_left_is_removed_and_nothing_else(tmp_path):
     assert {one.name for one in tmp_path.iterdir()} == {"runs.part", ".hidden", "mine.csv"}
 
 
+def test_what_is_made_of_files_is_kept_until_one_changes(tmp_path):
+    """Files may be missing; other arguments tell results apart, too."""
+    calls = []
+
+    @files.while_unchanged(4)
+    def joined(first, *others, end):
+        calls.append(first)
+        return "".join(one.read_text() if one.exists() else "-" for one in (first, *others)) + end
+
+    a, b = tmp_path / "a", tmp_path / "b"
+    a.write_text("1")
+    assert [joined(a, b, end="."), joined(a, b, end="."), joined(a, b, end="!")] == [
+        "1-.", "1-.", "1-!",
+    ]  # fmt: skip
+    assert len(calls) == 2
+    b.write_text("2")
+    assert joined(a, b, end=".") == "12."
+    os.utime(b, ns=(1, 1))
+    b.write_text("3")
+    assert joined(a, b, end=".") == "13."
+
+
 def test_copies_and_digests(given, tmp_path):
     files.copy(given, tmp_path / "copy")
     assert (tmp_path / "copy").read_bytes() == given.read_bytes()

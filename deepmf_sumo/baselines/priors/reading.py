@@ -1,10 +1,10 @@
 """The networks of the baselines: building, and reading from a set of weights."""
 
-from functools import lru_cache
 from pathlib import Path
 
 from torch import nn
 
+from deepmf_sumo import files
 from deepmf_sumo.baselines.priors.diffscene import DiffusionPrior
 from deepmf_sumo.baselines.priors.strive import MotionPrior
 from deepmf_sumo.deepmf.networks import torch_networks, weights
@@ -35,11 +35,10 @@ def diffusion_prior(name: str | Path) -> DiffusionPrior:
 
 
 def _latest(folder: Path, network: Network) -> nn.Module:
-    file = folder / f"{network}.safetensors"
-    return _read_once(folder.resolve(), network, file.stat().st_mtime_ns if file.is_file() else 0)
+    return _kept(folder.resolve() / f"{network}.safetensors", network)
 
 
-@lru_cache(maxsize=2)
-def _read_once(folder: Path, network: Network, changed: int) -> nn.Module:
-    net, _ = torch_networks.read_network(folder, network, build=build)
+@files.while_unchanged(2)
+def _kept(file: Path, network: Network) -> nn.Module:
+    net, _ = torch_networks.read_network(file.parent, network, build=build)
     return net.requires_grad_(requires_grad=False)

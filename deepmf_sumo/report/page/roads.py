@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -80,11 +79,11 @@ def _key(run: Run) -> str:
     if "recording" in source:
         return f"{source['recording']} {run.scene}"
     net = stored.net_file(run.folder)
-    return run.run_id if net is None else _digest(net, net.stat().st_mtime_ns)
+    return run.run_id if net is None else _digest(net)
 
 
-@lru_cache(maxsize=4096)
-def _digest(file: Path, changed: int) -> str:  # noqa: ARG001 - part of the key
+@files.while_unchanged(4096)
+def _digest(file: Path) -> str:
     return files.sha256(file)
 
 

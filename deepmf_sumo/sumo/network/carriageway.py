@@ -4,7 +4,6 @@ Lanes for vehicles, bicycles and trains with their widths, and the outlines of j
 walking areas. Footways, and strips that are closed to all, are no part of it.
 """
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -12,19 +11,23 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from deepmf_sumo import files
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry.ground import clear
-from deepmf_sumo.sumo.network.sumo_net import NetFile, NetLane, read_once
+from deepmf_sumo.sumo.network.sumo_net import (
+    ON_FOOT,
+    RAIL_VEHICLES,
+    ROAD_VEHICLES,
+    NetFile,
+    NetLane,
+    read_once,
+)
 from deepmf_sumo.sumo.network.sumo_road import roadways
 
-_MOTOR: Final = (
-    *("passenger", "bus", "taxi", "delivery", "truck", "motorcycle", "emergency"),
-    *("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway"),
-)
+_MOTOR: Final = (*ROAD_VEHICLES, *RAIL_VEHICLES)
 _DRIVING: Final = (*_MOTOR, "bicycle")
 _REACHES_M: Final = (10.0, 50.0, 1e6)
-_ON_FOOT: Final = {"crossing", "walkingarea"}
-_NOT_HERE: Final = {*_ON_FOOT, "connector"}
+_NOT_HERE: Final = {*ON_FOOT, "connector"}
 
 
 def driven_on(lane: NetLane) -> bool:
@@ -53,7 +56,7 @@ class Carriageway:
             for lane in edge.lanes
             if len(lane.shape_m) > 1 and driven_on(lane)
         ]
-        areas = [_area(lane) for lane in lanes]
+        areas = [lane.area() for lane in lanes]
         heights = [float(lane.shape_m[:, 2].mean()) for lane in lanes]
         outlines = (shapely.buffer(shapely.Polygon(ring), 0.0) for ring in roadways(net))
         rings = [one for one in outlines if not one.is_empty]  # dead ends may have none
@@ -97,16 +100,7 @@ def _away_m(lane: NetLane, place: BaseGeometry) -> float:
     return float(shapely.distance(shapely.LineString(lane.shape_m[:, :2]), place))
 
 
-def _area(lane: NetLane) -> BaseGeometry:
-    line = shapely.LineString(lane.shape_m[:, :2])
-    return shapely.buffer(line, lane.width_m / 2, cap_style="flat", join_style="mitre")
-
-
+@files.while_unchanged(2)
 def carriageway_of(net_file: Path) -> Carriageway:
     """Of a network file; the last ones are kept as long as the files stay as they are."""
-    return _stamped(net_file, net_file.stat().st_mtime_ns if net_file.exists() else -1)
-
-
-@lru_cache(maxsize=2)
-def _stamped(net_file: Path, _stamp: int) -> Carriageway:
     return Carriageway(read_once(net_file))

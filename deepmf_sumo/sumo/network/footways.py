@@ -4,7 +4,7 @@ SUMO's own pedestrians keep to one lane of an edge: the one for pedestrians alon
 that they may use. From there SUMO walks a person on; from other lanes it does not, or it jumps.
 """
 
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
+from deepmf_sumo import files
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry import polylines
 from deepmf_sumo.scene.geometry.ground import clear
@@ -47,7 +48,7 @@ class _Lanes:
 
     def __init__(self, lanes: list[NetLane]) -> None:
         self.lanes = lanes
-        self.areas: NDArray[Any] = np.array([_area(one) for one in lanes], object)
+        self.areas: NDArray[Any] = np.array([one.area() for one in lanes], object)
         self._tree = shapely.STRtree(self.areas)
 
     def within(self, at_m: Floats, reach_m: float, z_m: float) -> list[int]:
@@ -219,22 +220,13 @@ def _long(lane: NetLane) -> bool:
     return len(lane.shape_m) > 1 and bool(np.ptp(lane.shape_m[:, :2], axis=0).any())
 
 
-def _area(lane: NetLane) -> BaseGeometry:
-    line = shapely.LineString(lane.shape_m[:, :2])
-    return shapely.buffer(line, lane.width_m / 2, cap_style="flat", join_style="mitre")
-
-
+@files.while_unchanged(2)
 def footways_of(net_file: Path) -> Footways:
     """Of a network file; the last ones are kept as long as the files stay as they are."""
-    return _stamped(net_file, net_file.stat().st_mtime_ns if net_file.exists() else -1)
+    return Footways(read_once(net_file))
 
 
 @cache
 def no_footways() -> Footways:
     """Of a network without any."""
     return Footways(NetFile(edges={}, links=(), junctions=()))
-
-
-@lru_cache(maxsize=2)
-def _stamped(net_file: Path, _stamp: int) -> Footways:
-    return Footways(read_once(net_file))

@@ -8,12 +8,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import IO, Final
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import SimulationError
@@ -21,6 +21,14 @@ from deepmf_sumo.scene import Floats
 
 _LARGEST: Final = 2**32
 """Limit of an unpacked network in bytes; that of a country has a few GB."""
+
+ROAD_VEHICLES: Final = (
+    "passenger", "bus", "taxi", "delivery", "truck", "motorcycle", "emergency",
+)  # fmt: skip
+RAIL_VEHICLES: Final = ("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway")
+"""SUMO's classes of vehicles whose lanes are roads and tracks; bicycles are neither."""
+ON_FOOT: Final = {"crossing", "walkingarea"}
+"""Functions of edges for pedestrians alone."""
 
 Way = tuple[str, str]
 """The edge before a junction and the one behind it."""
@@ -50,6 +58,11 @@ class NetLane:
         if self.allow is not None:
             return vehicle_class in self.allow or "all" in self.allow
         return not self.disallow & {vehicle_class, "all"}
+
+    def area(self) -> BaseGeometry:
+        """The lane with its width, along a line of at least two points."""
+        line = shapely.LineString(self.shape_m[:, :2])
+        return shapely.buffer(line, self.width_m / 2, cap_style="flat", join_style="mitre")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,13 +214,9 @@ def _keeps_left(file: Path) -> bool:
         return top.get("lefthand", "") in {"true", "1", "yes", "on", "x", "t"}
 
 
+@files.while_unchanged(4)
 def read_once(file: Path) -> NetFile:
     """As ``read_net``; the last nets read are kept as long as their files stay as they are."""
-    return _read_stamped(file, file.stat().st_mtime_ns if file.exists() else -1)
-
-
-@lru_cache(maxsize=4)
-def _read_stamped(file: Path, _stamp: int) -> NetFile:
     return read_net(file)
 
 

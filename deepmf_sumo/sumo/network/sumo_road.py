@@ -3,7 +3,6 @@
 from collections import defaultdict
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -11,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from deepmf_sumo import files
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import (
     Floats,
@@ -24,6 +24,8 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.scene import LaneKind, PolygonKind
 from deepmf_sumo.sumo.network.sumo_net import (
+    ON_FOOT,
+    ROAD_VEHICLES,
     NetEdge,
     NetFile,
     NetLane,
@@ -179,9 +181,6 @@ def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
     return shapely.get_coordinates(outline)[:-1]
 
 
-_ON_FOOT: Final = {"crossing", "walkingarea"}
-"""Functions of edges for pedestrians alone."""
-_VEHICLES: Final = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
 _FREEWAY_MPS: Final = 24.0
 """Limits above 86 km/h are those of roads without crossings."""
 _POLYGONS: Final = ("crosswalk", "speed_bump", "driveway", "building", "water")
@@ -252,14 +251,12 @@ def road_once(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
 
     Successive attacks use one network, and what is derived from a road is kept with it.
     """
-    files = (net_file, *additional)
-    stamps = tuple(file.stat().st_mtime_ns if file.exists() else -1 for file in files)
-    return _road_stamped(files, stamps)
+    return _road_kept(net_file, *additional)
 
 
-@lru_cache(maxsize=4)
-def _road_stamped(files: tuple[Path, ...], _stamps: tuple[int, ...]) -> RoadMap:
-    return road_of_net(files[0], files[1:])
+@files.while_unchanged(4)
+def _road_kept(net_file: Path, *additional: Path) -> RoadMap:
+    return road_of_net(net_file, additional)
 
 
 def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
@@ -271,7 +268,7 @@ def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     Raises SimulationError if the file cannot be read or is not a SUMO network.
     """
     net = read_once(net_file)
-    foot = {name for name, edge in net.edges.items() if edge.function in _ON_FOOT}
+    foot = {name for name, edge in net.edges.items() if edge.function in ON_FOOT}
     return {
         link.onto: (SignalLink(light=link.light, index=link.index),)
         for link in net.links
@@ -308,9 +305,9 @@ def _straight_lanes(net: NetFile, kinds: dict[str, LaneKind]) -> dict[str, Lane]
 
 def _kind(edge: NetEdge, lane: NetLane) -> LaneKind | None:
     """Kind of a lane; None for those that only pedestrians, trains or ships use."""
-    if edge.function in {"crossing", "walkingarea", "connector"}:
+    if edge.function in {*ON_FOOT, "connector"}:
         return None
-    if any(lane.allows(vehicle) for vehicle in _VEHICLES):
+    if any(lane.allows(vehicle) for vehicle in ROAD_VEHICLES):
         fast = lane.speed_mps > _FREEWAY_MPS or "motorway" in edge.type
         return "freeway" if fast else "street"
     return "bike" if lane.allows("bicycle") else None
