@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +78,7 @@ class AttackRequest:
         duration_s: maximum of an attack. pause_s: after it.
         sets: ``key=value`` as in specs: ``profile``, ``adversary``, ``weights`` and ``seed``.
         net: the network file; None asks SUMO.
+        spared: asked before each attack for the road users that do not attack.
     """
 
     avs: tuple[AgentId, ...]
@@ -86,6 +87,7 @@ class AttackRequest:
     pause_s: float = 5.0
     sets: tuple[str, ...] = ()
     net: Path | None = None
+    spared: Callable[[], Collection[AgentId]] = tuple
 
 
 def triggers_of(wish: AttackRequest) -> tuple[Trigger, ...]:
@@ -188,9 +190,10 @@ def sessions(
     found: list[Session] = []
 
     def taken(av: AgentId) -> set[AgentId]:
-        """The other AVs and their opponents."""
+        """The other AVs and their opponents, and who is spared."""
         others = [one for one in found if one.av_id != av]
-        return {one.av_id for one in others}.union(*(one.driving for one in others))
+        busy = {one.av_id for one in others}.union(*(one.driving for one in others))
+        return busy.union(wish.spared()) - {av}
 
     for av, policy in zip(wish.avs, policies or [policy_of(spec) for _ in wish.avs], strict=True):
         scenery = Scenery(
@@ -255,6 +258,8 @@ class Attacker:
         out: folder for ``attacks.jsonl`` and the attacks as runs of a result folder; None writes
             nothing.
         overwrite: delete the results of an earlier command in ``out``; else they are an error.
+        spared: asked before each attack for ids of road users that do not attack, for example
+            vehicles that another program moves.
 
     Attributes:
         attacks: those that are over, as dictionaries: one for each line of ``attacks.jsonl``.
@@ -275,6 +280,7 @@ class Attacker:
         net: Path | str | None = None,
         out: Path | str | None = None,
         overwrite: bool = False,
+        spared: Callable[[], Collection[AgentId]] = tuple,
     ) -> None:
         texts = (trigger,) if isinstance(trigger, str) else tuple(trigger or ())
         wish = AttackRequest(
@@ -284,6 +290,7 @@ class Attacker:
             pause_s=pause_s,
             sets=(sets,) if isinstance(sets, str) else tuple(sets),
             net=None if net is None else Path(net),
+            spared=spared,
         )
         api, spec = shared(conn), spec_of(wish)
         triggers_of(wish)
@@ -315,6 +322,11 @@ class Attacker:
     def opponent(self) -> AgentId | None:
         """The vehicle that attacks now, or None; with several AVs see `opponents`."""
         return next(iter(self.opponents.values()), None)
+
+    @property
+    def driving(self) -> set[AgentId]:
+        """All vehicles that it drives now: attackers, and those on their way back to a lane."""
+        return set().union(*(one.driving for one in self._sessions))
 
     def attack(self, av: AgentId | None = None) -> None:
         """Attack as soon as a vehicle can, whatever the trigger; one AV, or all of them."""
