@@ -30,18 +30,33 @@ def repeated_classes() -> dict[str, list[str]]:
     return {name: files for name, files in found.items() if len(files) > 1}
 
 
+PUBLIC = ("api.py:run", "api.py:attack", "live/attacker.py:__init__")
+"""What users call. Keyword-only parameters are its options, as those of commands: each has a
+default and is named in the call, and objects that gather them would be one more thing to learn."""
+
+
 def long_signatures() -> list[str]:
     """Functions with more than `MOST_PARAMETERS`, without those that click fills."""
-    found = []
+    return [f"{name} ({count})" for name, count, _ in _signatures() if count > MOST_PARAMETERS]
+
+
+def public_options() -> dict[str, int]:
+    """Keyword-only parameters of what users call."""
+    return {name: count for name, _, count in _signatures() if name in PUBLIC}
+
+
+def _signatures() -> Iterator[tuple[str, int, int]]:
+    """Functions with their numbers of parameters and of options."""
     for file in sources():
         for node in ast.walk(ast.parse(file.read_text())):
             if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
-            named = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-            count = sum(one.arg not in {"self", "cls"} for one in named)
-            if count > MOST_PARAMETERS and file.parent.name != "cli":
-                found.append(f"{file.relative_to(PACKAGE)}:{node.name} ({count})")
-    return found
+            name = f"{file.relative_to(PACKAGE)}:{node.name}"
+            plain = [one.arg for one in node.args.posonlyargs + node.args.args]
+            options = len(node.args.kwonlyargs)
+            if file.parent.name != "cli":
+                count = len(set(plain) - {"self", "cls"})
+                yield name, count + (0 if name in PUBLIC else options), options
 
 
 def lines() -> dict[str, int]:
@@ -81,6 +96,7 @@ def show() -> None:
     print(f"functions with more than {MOST_PARAMETERS} parameters:", len(long_signatures()))
     for each in long_signatures():
         print("   ", each)
+    print("options of what users call:", public_options())
     print("options of all commands:", sum(by_command.values()), "most:", max(by_command.values()))
     print("lines of rooms:", ", ".join(f"{name} {count}" for name, count in by_room.items()))
     print("lines:", sum(by_room.values()) - optional, "optional:", optional, "tests:", tests)

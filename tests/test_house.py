@@ -14,6 +14,10 @@ def test_each_class_has_a_name_of_its_own():
     assert house.repeated_classes() == {}
 
 
+def test_no_function_takes_more_than_seven_values():
+    assert house.long_signatures() == []
+
+
 @pytest.mark.parametrize("room", ROOMS, ids=lambda one: one.name)
 def test_a_room_says_what_it_is_and_why(room):
     doc = ast.get_docstring(ast.parse((room / "__init__.py").read_text())) or ""

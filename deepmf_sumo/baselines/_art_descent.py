@@ -14,6 +14,7 @@ that a gradient at the contact moves the whole path up to it.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -81,6 +82,20 @@ class PerturbationBounds:
         ]
 
 
+class Effort(NamedTuple):
+    """How long perturbations are looked for.
+
+    Attributes:
+        restarts: R, initial points from which one is looked for.
+        iterations: maximum number; a descent ends after 20 without an improvement.
+        deadline: `time.perf_counter` to stop at; the first iteration is always made.
+    """
+
+    restarts: int
+    iterations: int
+    deadline: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArtDescent:
     """Best perturbations: points (R, N, 2), offsets (R, W, 2), and the number of iterations."""
@@ -96,8 +111,7 @@ def descend(
     basis: Floats,
     begin: Floats,
     bounds: PerturbationBounds,
-    iterations: int,
-    deadline: float,
+    effort: Effort,
 ) -> ArtDescent:
     """Minimise a loss over perturbations of one trajectory, from R initial points together.
 
@@ -107,9 +121,9 @@ def descend(
         basis: (W, N) effect of each point of a perturbation; zero for steps that are fixed.
         begin: (R, N, 2) initial points of the perturbations.
         bounds: widened to the values of the trajectory.
-        iterations: maximum number; the descent ends after 20 without an improvement.
-        deadline: `time.perf_counter` to stop at; the first iteration is always made.
+        effort: iterations and deadline.
     """
+    _, iterations, deadline = effort
     bounds = bounds.widened(base_m)
     # Single precision: far from the origin it would not resolve centimetres.
     base, spread = single(base_m - base_m[0]), single(basis)
@@ -216,9 +230,7 @@ def bend(
     start: Start,
     target: ArtTarget,
     bounds: PerturbationBounds,
-    restarts: int,
-    iterations: int,
-    deadline: float,
+    effort: Effort,
     rng: np.random.Generator,
 ) -> ArtDescent:
     """Perturbations (R, K, 2) of a reference (K, 2) that bring it to the target.
@@ -241,10 +253,9 @@ def bend(
         loss,
         np.concatenate([before, reference_m]),
         np.concatenate([np.zeros((fixed, count)), _integrals(steps, count)]),
-        _beginnings(reference_m, target, restarts, count, rng),
+        _beginnings(reference_m, target, effort.restarts, count, rng),
         bounds,
-        iterations,
-        deadline,
+        effort,
     )
     return ArtDescent(
         points=found.points, offset_m=found.offset_m[:, fixed:], iterations=found.iterations

@@ -17,6 +17,7 @@ from deepmf_sumo.baselines._art_descent import (
     GONE_M,
     KNOT_STEPS,
     ArtDescent,
+    Effort,
     PerturbationBounds,
     descend,
 )
@@ -33,26 +34,19 @@ _EVERY = 4  # goals are compared with the AV every 0.4 s
 
 
 def perturb(
-    view: View,
-    agent_id: AgentId,
     net: DenseTNT,
-    av_m: Floats,
-    there: Bools,
+    past: "PerturbedPast",
+    meeting: "GoalMeeting",
     bounds: PerturbationBounds,
-    restarts: int,
-    iterations: int,
-    deadline: float,
+    effort: Effort,
     rng: np.random.Generator,
 ) -> ArtDescent:
     """Perturbations (R, 11, 2) of an agent's history that make goals near the AV likelier.
 
-    ``av_m`` (K, 2) are the AV's positions from the next step on, ``there`` (K) where it is present.
     The first restart begins with the recorded history, the others at random.
     """
-    past = PerturbedPast(view, agent_id, net)
-    begin = rng.normal(scale=bounds.reach_m / 2, size=(restarts, past.basis.shape[1], 2))
+    begin = rng.normal(scale=bounds.reach_m / 2, size=(effort.restarts, past.basis.shape[1], 2))
     begin[0] = 0.0
-    meeting = GoalMeeting(view, agent_id, av_m, there)
     known = torch.from_numpy(np.flatnonzero(past.known))
 
     def loss(offset: Tensor) -> Tensor:
@@ -61,12 +55,11 @@ def perturb(
 
     found = descend(
         loss,
-        view.history.position_m[view.history.row(agent_id), past.known],
+        past.recorded_m[past.known],
         past.basis[past.known],
         begin,
         bounds,
-        iterations,
-        deadline,
+        effort,
     )
     offset = np.einsum("wn,rnc->rwc", past.basis, found.points)
     return ArtDescent(points=found.points, offset_m=offset, iterations=found.iterations)
@@ -79,6 +72,7 @@ class PerturbedPast:
 
     Attributes:
         known: (11) the last uninterrupted stretch of steps up to now; other steps are fixed.
+        recorded_m: (11, 2) positions.
         basis: (11, 2) effect of the points half a second and a second ago; now is fixed.
     """
 
@@ -87,6 +81,7 @@ class PerturbedPast:
         self._view, self._row = view, tracks.row(agent_id)
         self._arrays = as_batch(features(view, agent_id, net.preset)[0])
         self._heading = pose_of(view, agent_id).heading_rad
+        self.recorded_m = tracks.position_m[self._row]
         valid = tracks.valid[self._row]
         self._back = int(half_second_ago(valid[None])[0])
         self.known: Bools = np.logical_and.accumulate(valid[::-1])[::-1].copy()
@@ -148,7 +143,10 @@ class PerturbedPast:
 
 
 class GoalMeeting:
-    """How likely a predictor's goals are to come near the AV."""
+    """How likely a predictor's goals are to come near the AV.
+
+    ``av_m`` (K, 2) are the AV's positions from the next step on, ``there`` (K) where it is present.
+    """
 
     def __init__(self, view: View, agent_id: AgentId, av_m: Floats, there: Bools) -> None:
         pose = pose_of(view, agent_id)

@@ -43,7 +43,7 @@ from deepmf_sumo.errors import WeightsError
 from deepmf_sumo.scene import Attack, Budget, Case, Floats
 
 if TYPE_CHECKING:
-    from deepmf_sumo.baselines._art_descent import ArtDescent, PerturbationBounds
+    from deepmf_sumo.baselines._art_descent import ArtDescent, Effort, PerturbationBounds
 
 FORESIGHT = "the un-attacked motion of the AV, where it aims, and of the opponent, where it begins"
 
@@ -132,9 +132,7 @@ class ART:
             own_size_m=footprint(view, scouted.opponent_id),
         )
         bounds = self._bounds(chosen.reach_m)
-        found = _art_descent.bend(
-            calm, start, target, bounds, chosen.restarts, chosen.iterations, deadline, rng
-        )
+        found = _art_descent.bend(calm, start, target, bounds, self._effort(deadline), rng)
         return calm + found.offset_m, found
 
     def _history(
@@ -154,24 +152,21 @@ class ART:
                 f"art with form 'history' computes on the CPU; unset {DEVICE}, or choose another"
                 " form."
             )
-        found = _art_history.perturb(
-            view,
-            agent_id,
-            net,
-            open_loop.continued(av, Start.of(view, view.av_id)),
-            av.valid,
-            self._bounds(chosen.history_reach_m),
-            chosen.restarts,
-            chosen.iterations,
-            deadline,
-            rng,
-        )
         past = _art_history.PerturbedPast(view, agent_id, net)
+        av_m = open_loop.continued(av, Start.of(view, view.av_id))
+        meeting = _art_history.GoalMeeting(view, agent_id, av_m, av.valid)
+        bounds = self._bounds(chosen.history_reach_m)
+        found = _art_history.perturb(net, past, meeting, bounds, self._effort(deadline), rng)
         forecasts = [
             marginal.predict(past.view(offset), agent_id).modes(chosen.modes)
             for offset in found.offset_m
         ]
         return np.stack([forecast.futures.position_m[0] for forecast in forecasts]), found
+
+    def _effort(self, deadline: float) -> "Effort":
+        from deepmf_sumo.baselines._art_descent import Effort
+
+        return Effort(self._settings.restarts, self._settings.iterations, deadline)
 
     def _bounds(self, reach_m: float) -> "PerturbationBounds":
         from deepmf_sumo.baselines._art_descent import PerturbationBounds

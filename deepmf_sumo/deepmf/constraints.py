@@ -28,7 +28,13 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
 from deepmf_sumo.judge.avoidability.av_path import VehicleState
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
-from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
+from deepmf_sumo.judge.avoidability.grading import (
+    AvAhead,
+    OpponentFutures,
+    PastPoses,
+    TakeOver,
+    avoidable,
+)
 from deepmf_sumo.judge.avoidability.intention import intends_since
 from deepmf_sumo.scene import AgentId, Bools, Floats, Forecast, Futures, Ints, View
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
@@ -297,19 +303,25 @@ def fair_candidates(
     if situation.person:
         since = _understood(situation, futures, av.futures.heading_rad[best], ahead, driven)
     return avoidable(
-        now,
-        situation.av_size_m,
-        ahead,
-        _state(view, situation.opponent_id),
-        situation.size_m,
-        futures.position_m,
-        futures.heading_rad,
+        AvAhead(
+            now=now,
+            size_m=situation.av_size_m,
+            path_m=ahead,
+            along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
+        ),
+        OpponentFutures(
+            now=_state(view, situation.opponent_id),
+            size_m=situation.size_m,
+            position_m=futures.position_m,
+            heading_rad=futures.heading_rad,
+        ),
         view.dt_s,
-        av_along_m=polylines.arc_lengths(np.concatenate([now.position_m[None], ahead])),
-        past=None if driven is None else driven.past,
-        expected_m=None if driven is None else driven.expected_m(futures.position_m.shape[1]),
         by="vru" if situation.person else "any",
-        since=since,
+        take_over=TakeOver(
+            past=PastPoses.none() if driven is None else driven.past,
+            expected_m=None if driven is None else driven.expected_m(futures.position_m.shape[1]),
+            since=since,
+        ),
     )
 
 

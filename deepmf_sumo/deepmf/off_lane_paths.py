@@ -212,7 +212,7 @@ def _timed(
     fastest = np.maximum(fastest, start.speed_mps)
     possible = useful & (hold >= _SLOWEST_MPS) & (hold <= fastest) & (way.length_m > _AWAY_M)
     effort = np.abs(hold - _usual(start)) + way.turn_rad / 2
-    return _goals(way, aim, possible, effort, hold_mps=hold)
+    return _goals(way, aim, effort, hold_mps=hold).take(np.flatnonzero(possible))
 
 
 def _usual(start: Start) -> float:
@@ -235,7 +235,6 @@ def _held(length_m: Floats, seconds: Floats, now_mps: float, limits: MotionLimit
 def _goals(
     way: _Ways,
     aim: _Aim,
-    possible: Bools,
     effort: Floats,
     *,
     hold_mps: Floats | float,
@@ -244,7 +243,7 @@ def _goals(
     halts_m: Floats | float = np.inf,
 ) -> _OffLaneGoals:
     each = np.ones(len(aim.step))
-    found = _OffLaneGoals(
+    return _OffLaneGoals(
         way=way,
         departs_s=each * departs_s,
         hold_mps=each * hold_mps,
@@ -254,7 +253,6 @@ def _goals(
         step=aim.step,
         score=aim.score - effort,
     )
-    return found.take(np.flatnonzero(possible))
 
 
 def _later(aim: _Aim, start: Start, limits: MotionLimits, *, on_foot: bool) -> list[_OffLaneGoals]:
@@ -286,10 +284,10 @@ def _later(aim: _Aim, start: Start, limits: MotionLimits, *, on_foot: bool) -> l
             room &= (number == 0) | (left > up_m + down_m)
             ends = (np.inf, way.length_m, way.length_m + _BEYOND_M)[number]
             effort = (hold - speeds[0]) + 0.2 * departs + stop_s / 2 + number + way.turn_rad / 4
-            found.append(
-                _goals(way, aim, room & (departs >= stop_s), effort, hold_mps=hold,
-                       kind=number + 1, departs_s=departs, halts_m=ends)
-            )  # fmt: skip
+            goals = _goals(
+                way, aim, effort, hold_mps=hold, kind=number + 1, departs_s=departs, halts_m=ends
+            )
+            found.append(goals.take(np.flatnonzero(room & (departs >= stop_s))))
     return found
 
 

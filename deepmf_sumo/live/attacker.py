@@ -202,11 +202,12 @@ def sessions(
             observer=LiveObserver(api, av, _RADIUS_M),
             surroundings=surroundings,
             rules=TurnRules(longest_s=wish.duration_s),
+            pause_s=wish.pause_s,
         )
         rng = np.random.default_rng([spec.seed, crc32(av.encode()), *range(2, number + 1)])
         found.append(
             Session(
-                scenery, policy, triggers_of(wish), wish.pause_s, rng, finished, driven,
+                scenery, policy, triggers_of(wish), rng, finished, driven,
                 functools.partial(taken, av),
             )
         )  # fmt: skip

@@ -78,13 +78,17 @@ _AROUND_M: Final = 150.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scenery:
-    """What all attacks of a session share: the simulation, the AV, and the rules of an attack."""
+    """What all attacks of a session share: the simulation, the AV, and the rules of an attack.
+
+    ``pause_s``: from the end of an attack to the next.
+    """
 
     api: LiveApi
     av_id: AgentId
     observer: LiveObserver
     surroundings: LiveRoad
     rules: TurnRules
+    pause_s: float
 
 
 class Engagement:

@@ -59,10 +59,9 @@ class Session:
     """Attacks on one AV; the caller calls `before_step` and `after_step` around each step.
 
     Args:
-        scenery: the simulation, its AV and the rules.
+        scenery: the simulation, its AV, the rules and the pause between attacks.
         policy: chooses and drives the opponents.
         triggers: an attack begins when one of them fires.
-        pause_s: after an attack before the next.
         rng: for the policy.
         finished: called with each attack that is over.
         driven: whether the script that drives the AV is still connected. If it is not at the end
@@ -84,7 +83,6 @@ class Session:
         scenery: Scenery,
         policy: Policy,
         triggers: Sequence[Trigger],
-        pause_s: float,
         rng: np.random.Generator,
         finished: Callable[[LiveAttack], None],
         driven: Callable[[], bool] = lambda: True,
@@ -105,7 +103,6 @@ class Session:
         self._call = AtTime(np.inf)
         self._wanted = tuple(triggers)
         self._triggers = (self._call, *map(copy.copy, triggers))
-        self._pause_s = pause_s
         self._rng = rng
         self._finished = finished
         self._driven = driven
@@ -347,7 +344,7 @@ class Session:
 
     def _over(self) -> None:
         """The attack has ended just now."""
-        self._next_s = self.time_s + self._pause_s
+        self._next_s = self.time_s + self._scenery.pause_s
         self.check_script()
         self._counts = not self.script_left
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -156,17 +156,22 @@ def draw_road(
     )
 
 
+class Outline(NamedTuple):
+    """How boxes look, beside their colours: their edges, in points, and how they cover others."""
+
+    edge: Any
+    zorder: float
+    alpha: float = 1.0
+    edge_pt: float = 0.8
+
+
 def draw_boxes(
     axes: Axes,
     tracks: Tracks,
     places: Sequence[tuple[int, int]],
     colors: Sequence[Any],
     window: ViewWindow,
-    *,
-    edge: Any,
-    zorder: float,
-    alpha: float = 1.0,
-    edge_pt: float = 0.8,
+    outline: Outline,
 ) -> None:
     """Draw boxes of (row, step) pairs of the tracks."""
     if not places:
@@ -178,14 +183,19 @@ def draw_boxes(
         PolyCollection(
             list(corners),
             facecolors=colors,
-            edgecolors=edge,
-            linewidths=edge_pt,
-            alpha=alpha,
-            zorder=zorder,
+            edgecolors=outline.edge,
+            linewidths=outline.edge_pt,
+            alpha=outline.alpha,
+            zorder=outline.zorder,
         )
     )
     left, front, right = (corners[:, pair].mean(axis=1) for pair in ([0, 1], [0, 3], [2, 3]))
     noses = np.stack([left, front, right], axis=1)
     axes.add_collection(
-        LineCollection(list(noses), colors=edge, linewidths=0.75 * edge_pt, zorder=zorder)
+        LineCollection(
+            list(noses),
+            colors=outline.edge,
+            linewidths=0.75 * outline.edge_pt,
+            zorder=outline.zorder,
+        )
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
 from deepmf_sumo.judge.hits import conflict_of
-from deepmf_sumo.report.drawing import SCORES, ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.scene import (
@@ -82,7 +82,7 @@ def frame(view: View) -> NDArray[np.uint8]:
     rows = [row for row in range(len(tracks.ids)) if tracks.valid[row, now]]
     colours = [AV if row == av else OTHER for row in rows]
     places = [(row, now) for row in rows]
-    draw_boxes(axes, tracks, places, colours, window, edge="#59626d", zorder=4)
+    draw_boxes(axes, tracks, places, colours, window, Outline(edge="#59626d", zorder=4))
     axes.set(xlim=(window.x0, window.x1), ylim=(window.y0, window.y1))
     axes.axis("off")
     canvas.draw()
@@ -154,7 +154,7 @@ def _others(
         SCORES(chances[tracks.ids[row]]) if tracks.ids[row] in chances else UNSCORED for row in rows
     ]
     here = [(row, rollout.now) for row in rows]
-    draw_boxes(axes, tracks, here, colors, window, edge="#59626d", zorder=4)
+    draw_boxes(axes, tracks, here, colors, window, Outline(edge="#59626d", zorder=4))
 
 
 def _probabilities(scores: OpponentScores | None) -> dict[str, float]:
@@ -200,9 +200,9 @@ def _driven(axes: Axes, rollout: Rollout, agent: str, color: str, window: ViewWi
     axes.plot(*tracks.position_m[row, steps].T, color=color, lw=1.8, zorder=6)
     between = [(row, int(step)) for step in steps[EVERY_STEPS:-1:EVERY_STEPS]]
     faint = [color] * len(between)
-    draw_boxes(axes, tracks, between, faint, window, edge=color, zorder=6, alpha=0.22)
+    draw_boxes(axes, tracks, between, faint, window, Outline(edge=color, zorder=6, alpha=0.22))
     ends = [(row, int(steps[0])), (row, int(steps[-1]))]
-    draw_boxes(axes, tracks, ends, [color] * 2, window, edge="black", zorder=7, alpha=0.85)
+    draw_boxes(axes, tracks, ends, [color] * 2, window, Outline(edge="black", zorder=7, alpha=0.85))
     x, y = tracks.position_m[row, steps[0]]
     if agent == rollout.opponent_id:
         star = {"marker": "*", "color": STAR, "markeredgecolor": "black"}
@@ -213,7 +213,7 @@ def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: ViewWindow)
     """A cross between the two, and the outlines of both at that moment."""
     rows = [rollout.tracks.row(agent) for agent in (contact.first_id, contact.second_id)]
     there = [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]]
-    draw_boxes(axes, rollout.tracks, there, ["none"], window, edge=CONTACT, zorder=8)
+    draw_boxes(axes, rollout.tracks, there, ["none"], window, Outline(edge=CONTACT, zorder=8))
     middle = (contact.pose_first[:2] + contact.pose_second[:2]) / 2
     axes.plot(*middle, marker="x", color="white", markersize=15, markeredgewidth=5, zorder=10)
     axes.plot(*middle, marker="x", color=CONTACT, markersize=13, markeredgewidth=2.5, zorder=11)

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from deepmf_sumo.report.drawing import draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import Outline, draw_boxes, draw_road, square
 from deepmf_sumo.report.palette import AV, OPPONENT
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.scene import Contact, RoadMap, Rollout
@@ -49,7 +49,8 @@ def film(run: Run, road: RoadMap, hit: Contact, path: Path) -> None:
                               arrowprops={"arrowstyle": "->", "color": "#9aa4af"})  # fmt: skip
         there = [row for row in range(len(tracks.ids)) if tracks.valid[row, step]]
         tints = [AV if r == rows[0] else OPPONENT if r == rows[1] else OTHER for r in there]
-        draw_boxes(axes, tracks, [(row, step) for row in there], tints, window, edge="k", zorder=4)
+        places = [(row, step) for row in there]
+        draw_boxes(axes, tracks, places, tints, window, Outline(edge="k", zorder=4))
         for row, tint in zip(rows, (AV, OPPONENT), strict=True):
             first = max(hit.step - round(4.0 / rollout.dt_s), 0)
             here = [s for s in range(first, step + 1) if tracks.valid[row, s]]

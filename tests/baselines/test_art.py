@@ -99,10 +99,9 @@ class TestDescent:
 
     def descend(self, loss, bounds, **more):
         given = {"iterations": 100, "deadline": FOREVER, "begin": np.zeros((2, 10, 2)), **more}
-        return art_descent.descend(
-            loss, self.base, self.basis, given["begin"], bounds,
-            given["iterations"], given["deadline"],
-        )  # fmt: skip
+        begin = given["begin"]
+        effort = art_descent.Effort(len(begin), given["iterations"], given["deadline"])
+        return art_descent.descend(loss, self.base, self.basis, begin, bounds, effort)
 
     @pytest.mark.slow_unit
     @pytest.mark.parametrize(
@@ -232,11 +231,10 @@ class TestHistory:
         view, net = turning_view(), predictors.marginal.net
         av = np.stack([0.9 * np.arange(1, 81), np.zeros(80)], -1)
         there = np.ones(80, dtype=bool)
-        found = art_history.perturb(
-            view, "b", net, av, there, BOUNDS, 2, 8, FOREVER, np.random.default_rng(0)
-        )
         meeting = art_history.GoalMeeting(view, "b", av, there)
         past = art_history.PerturbedPast(view, "b", net)
+        effort = art_descent.Effort(2, 8, FOREVER)
+        found = art_history.perturb(net, past, meeting, BOUNDS, effort, np.random.default_rng(0))
         offsets = np.concatenate([np.zeros((1, 11, 2)), found.offset_m])
         with torch.no_grad():
             loss = meeting.loss(net(past.batch(torch.from_numpy(offsets.astype(np.float32)))))
@@ -249,10 +247,11 @@ class TestHistory:
         valid = view.history.valid.copy()
         valid[1, :-1] = False
         view = replace(view, history=replace(view.history, valid=valid))
-        found = art_history.perturb(
-            view, "b", predictors.marginal.net, np.zeros((80, 2)), np.ones(80, dtype=bool),
-            BOUNDS, 2, 5, FOREVER, np.random.default_rng(0),
-        )  # fmt: skip
+        net = predictors.marginal.net
+        meeting = art_history.GoalMeeting(view, "b", np.zeros((80, 2)), np.ones(80, dtype=bool))
+        past = art_history.PerturbedPast(view, "b", net)
+        effort = art_descent.Effort(2, 5, FOREVER)
+        found = art_history.perturb(net, past, meeting, BOUNDS, effort, np.random.default_rng(0))
         assert np.array_equal(found.offset_m, np.zeros((2, 11, 2)))
 
     def test_it_drives_what_is_predicted(self, loaded):
@@ -321,7 +320,12 @@ class TestFuture:
             position_m=np.zeros(2), heading_rad=0.0, course_rad=0.0, speed_mps=0.0, length_m=4.8
         )
         found = art_descent.bend(
-            position, start, target, BOUNDS, 2, 5, FOREVER, np.random.default_rng(0)
+            position,
+            start,
+            target,
+            BOUNDS,
+            art_descent.Effort(2, 5, FOREVER),
+            np.random.default_rng(0),
         )
         assert np.isfinite(found.offset_m).all()
 

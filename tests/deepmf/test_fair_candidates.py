@@ -8,7 +8,13 @@ import pytest
 from deepmf_sumo.deepmf import constraints
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.judge.avoidability.av_path import VehicleState
-from deepmf_sumo.judge.avoidability.grading import PastPoses, avoidable
+from deepmf_sumo.judge.avoidability.grading import (
+    AvAhead,
+    OpponentFutures,
+    PastPoses,
+    TakeOver,
+    avoidable,
+)
 from deepmf_sumo.scene import Forecast, Futures
 from deepmf_sumo.scene.road_users import MotionLimits
 
@@ -58,11 +64,16 @@ def test_a_driver_that_took_over_when_the_attack_began_has_had_time():
     av, car = VehicleState(np.array([-15.0, 0.0]), 0.0, 10.0), VehicleState(np.zeros(2), 0.0, 0.0)
     size = np.array([4.8, 2.0])
     ahead = np.stack([-15.0 + steps * 1.0, np.zeros(80)], -1)
-    known = av, size, ahead, car, size, *standing, 0.1
+    position, heading = standing
+    known = (
+        AvAhead(now=av, size_m=size, path_m=ahead),
+        OpponentFutures(now=car, size_m=size, position_m=position, heading_rad=heading),
+        0.1,
+    )
     assert not avoidable(*known)[0]
     before = np.arange(20) - 20.0
     driven = np.stack([-15.0 + before, np.zeros(20), np.zeros(20)], -1)
-    assert avoidable(*known, past=PastPoses(driven, np.zeros((20, 3))))[0]
+    assert avoidable(*known, take_over=TakeOver(PastPoses(driven, np.zeros((20, 3)))))[0]
 
 
 def test_a_driver_may_not_react_before_the_attack_shows():

@@ -27,7 +27,7 @@ from matplotlib.patches import Patch, Rectangle
 from PIL import Image
 
 import deepmf_sumo
-from deepmf_sumo.report.drawing import ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures.episode import met_at, window_of
 from deepmf_sumo.report.palette import (
     AV,
@@ -166,7 +166,7 @@ def vehicles(axes: Axes, run: Run, window: ViewWindow, step: int) -> None:
         axes.plot(*path.T, color=colour, lw=1.8, zorder=6)
     rows = [int(row) for row in np.flatnonzero(tracks.valid[:, step])]
     faces, places = [colours.get(row, UNSCORED) for row in rows], [(row, step) for row in rows]
-    draw_boxes(axes, tracks, places, faces, window, edge="black", zorder=7, alpha=0.9)
+    draw_boxes(axes, tracks, places, faces, window, Outline(edge="black", zorder=7, alpha=0.9))
     star = {"color": STAR, "markeredgecolor": "black", "markeredgewidth": 0.7}
     opponent = tracks.position_m[tracks.row(rollout.opponent_id), step]
     axes.plot(*opponent, marker="*", markersize=14, zorder=9, **star)

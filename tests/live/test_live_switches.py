@@ -17,7 +17,7 @@ def session(av="ego", time_s=2.0):
     """A session that takes no step."""
     simulation = SimpleNamespace(getDeltaT=lambda: 0.1, getTime=lambda: time_s)
     scenery = SimpleNamespace(api=SimpleNamespace(simulation=simulation), av_id=av)
-    return Session(scenery, None, (), 5.0, np.random.default_rng(0), lambda attack: None)
+    return Session(scenery, None, (), np.random.default_rng(0), lambda attack: None)
 
 
 def record(out=None):

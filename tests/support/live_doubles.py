@@ -67,10 +67,11 @@ def session_on(
         observer=LiveObserver(live, av, 80.0),
         surroundings=LiveRoad(live, folder / net, ()),
         rules=rules or TurnRules(longest_s=5.0),
+        pause_s=pause_s,
     )
     triggers = (Trigger(),) if triggers is None else triggers
     rng = np.random.default_rng(0)
-    return Session(scenery, policy, triggers, pause_s, rng, fought.append), fought
+    return Session(scenery, policy, triggers, rng, fought.append), fought
 
 
 def step(api, session, count):

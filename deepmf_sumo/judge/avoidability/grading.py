@@ -171,55 +171,81 @@ class PastPoses(NamedTuple):
         return cls(np.empty((0, 3)), np.empty((0, 3)))
 
 
-def avoidable(
-    av_start: VehicleState,
-    av_size_m: Floats,
-    av_path_m: Floats,
-    opponent_now: VehicleState,
-    opponent_size_m: Floats,
-    opponent_position_m: Floats,
-    opponent_heading_rad: Floats,
-    dt_s: float,
-    by: By = "any",
-    av_along_m: Floats | None = None,
-    past: PastPoses | None = None,
-    expected_m: Floats | None = None,
-    since: Ints | None = None,
-) -> Bools:
-    """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AvAhead:
+    """The AV now, and how it drives on until a driver in its place reacts.
 
-    Args:
-        av_start: the AV now; it keeps this speed until the driver reacts.
-        av_size_m: (2) length, width.
-        av_path_m: (P, 2), P >= 0, the known points ahead of the AV; then it goes straight on.
-        opponent_now: the opponent at the current step.
-        opponent_size_m: (2) length, width.
-        opponent_position_m: (N, K, 2) its futures from the next step on.
-        opponent_heading_rad: (N, K).
-        dt_s: of a step.
-        by: the driver that has to avoid contact: one of `reference_drivers.MODELS`, ``any`` of them
-            or ``all``; or ``vru``, which is for pedestrians and cyclists.
-        av_along_m: (K + 1) the AV's arc lengths now and at the opponent's steps until the driver
-            reacts, if it does not keep its speed.
-        past: what both did before; the driver takes over at its first step, not now.
+    Attributes:
+        size_m: (2) length, width.
+        path_m: (P, 2), P >= 0, the known points ahead of it; then it goes straight on.
+        along_m: (K + 1) its arc lengths now and at the opponent's steps; None: it keeps its speed.
+    """
+
+    now: VehicleState
+    size_m: Floats
+    path_m: Floats
+    along_m: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpponentFutures:
+    """The opponent now, and N futures of it from the next step on.
+
+    ``size_m`` (2) length, width. ``position_m`` (N, K, 2). ``heading_rad`` (N, K).
+    """
+
+    now: VehicleState
+    size_m: Floats
+    position_m: Floats
+    heading_rad: Floats
+
+
+class TakeOver(NamedTuple):
+    """From when on a reference driver drives: from the first step of ``past``, or later.
+
+    Attributes:
+        past: what both did before now.
         expected_m: (H + 1 + K, 2) where the opponent would have been without the attack, from the
             first step of ``past`` on, nan where that is not known. The driver then takes over at
             the first sign of the attack, as in `judge` (`encounter.onset_step`).
         since: (N) steps, counted from the first one of ``past``, before which the driver does not
             take over: a person has not shown its intention.
     """
-    past = past or PastPoses.none()
-    av_m = np.concatenate([past.av[:, :2], [av_start.position_m]])
-    path = AvPath.through(av_m, np.append(past.av[:, 2], av_start.heading_rad), av_path_m)
-    futures, steps = np.shape(opponent_heading_rad)
-    now = np.append(opponent_now.position_m, opponent_now.heading_rad)
+
+    past: PastPoses = PastPoses.none()
+    expected_m: Floats | None = None
+    since: Ints | None = None
+
+
+def avoidable(
+    av: AvAhead,
+    opponent: OpponentFutures,
+    dt_s: float,
+    by: By = "any",
+    take_over: TakeOver | None = None,
+) -> Bools:
+    """(N) whether a reference driver in the AV's place avoids contact with the opponent's futures.
+
+    Args:
+        av: the AV until the driver reacts.
+        opponent: what it meets.
+        dt_s: of a step.
+        by: the driver that has to avoid contact: one of `reference_drivers.MODELS`, ``any`` of them
+            or ``all``; or ``vru``, which is for pedestrians and cyclists.
+        take_over: None: now.
+    """
+    past, expected_m, since = take_over or TakeOver()
+    av_m = np.concatenate([past.av[:, :2], [av.now.position_m]])
+    path = AvPath.through(av_m, np.append(past.av[:, 2], av.now.heading_rad), av.path_m)
+    futures, steps = np.shape(opponent.heading_rad)
+    now = np.append(opponent.now.position_m, opponent.now.heading_rad)
     before = np.concatenate([past.opponent, [now]])
     before = np.broadcast_to(before, (futures, *before.shape))
-    position = np.concatenate([before[..., :2], opponent_position_m], axis=1)
-    heading = np.concatenate([before[..., 2], opponent_heading_rad], axis=1)
-    approach = Approach.of(path, position, heading, opponent_size_m, av_size_m, dt_s)
-    steady_m = av_start.speed_mps * dt_s * np.arange(steps + 1)
-    ahead_m = steady_m if av_along_m is None else av_along_m
+    position = np.concatenate([before[..., :2], opponent.position_m], axis=1)
+    heading = np.concatenate([before[..., 2], opponent.heading_rad], axis=1)
+    approach = Approach.of(path, position, heading, opponent.size_m, av.size_m, dt_s)
+    steady_m = av.now.speed_mps * dt_s * np.arange(steps + 1)
+    ahead_m = steady_m if av.along_m is None else av.along_m
     past_m = np.append(0.0, np.hypot(*np.diff(av_m, axis=0).T).cumsum())
     driven_m = np.concatenate([past_m[:-1], past_m[-1] + ahead_m])
     start = np.zeros(futures, np.int64)

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from deepmf_sumo.report.drawing import ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.style import PanelGrid
 from deepmf_sumo.report.palette import STAR
@@ -130,7 +130,7 @@ def _others(axes: Axes, rollout: Rollout, window: ViewWindow) -> None:
     ]
     grey = [style.OTHER] * len(places)
     edge = style.OTHER_EDGE
-    draw_boxes(axes, tracks, places, grey, window, edge=edge, zorder=4, edge_pt=0.4)
+    draw_boxes(axes, tracks, places, grey, window, Outline(edge=edge, zorder=4, edge_pt=0.4))
 
 
 def _driven(
@@ -155,9 +155,10 @@ def _driven(
     seconds = list(range(0, len(steps) - 1, SECOND))
     faint = [(row, int(steps[number])) for number in seconds]
     fill = colours(scale(times[seconds]))
-    draw_boxes(axes, tracks, faint, fill, window, edge=edge, zorder=7, alpha=0.45, edge_pt=0.4)
+    faded = Outline(edge=edge, zorder=7, alpha=0.45, edge_pt=0.4)
+    draw_boxes(axes, tracks, faint, fill, window, faded)
     last, dark = [(row, int(steps[-1]))], colours(scale(times[-1:]))
-    draw_boxes(axes, tracks, last, dark, window, edge="black", zorder=9, edge_pt=0.7)
+    draw_boxes(axes, tracks, last, dark, window, Outline(edge="black", zorder=9, edge_pt=0.7))
 
 
 def star(axes: Axes, placed_m: Floats, size_pt: float = 7.0) -> None:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deepmf_sumo.report.drawing import SCORES, ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import attacks
 from deepmf_sumo.report.figures.episode import star
@@ -116,11 +116,10 @@ def _vehicles(axes: Axes, rollout: Rollout, chances: dict[str, float], window: V
     }
     places = [(int(row), now) for row in colours]
     edge = style.OTHER_EDGE
-    draw_boxes(
-        axes, tracks, places, list(colours.values()), window, edge=edge, zorder=5, edge_pt=0.5
-    )
+    thin = Outline(edge=edge, zorder=5, edge_pt=0.5)
+    draw_boxes(axes, tracks, places, list(colours.values()), window, thin)
     av = [(tracks.row(rollout.av_id), now)]
-    draw_boxes(axes, tracks, av, [style.AV], window, edge="black", zorder=6, edge_pt=0.5)
+    draw_boxes(axes, tracks, av, [style.AV], window, Outline(edge="black", zorder=6, edge_pt=0.5))
     opponent = tracks.row(str(rollout.opponent_id))
     star(axes, window.place(tracks.position_m[opponent, now][None]), size_pt=5.0)
 

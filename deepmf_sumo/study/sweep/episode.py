@@ -245,16 +245,20 @@ def _situation(task: Task, cache: Path) -> Case:
     spec, source = task.spec, task.spec.source
     steps = round(spec.duration_s / DT_S)
     if isinstance(source, FromNetwork):
-        return simulation.network_case(
+        case = simulation.network_case(
             source.network,
             source.start_s,
             source.av.vehicle,
             steps,
             spec.seed,
-            task.run_id,
             source.sumo_options,
-            TurnRules(**spec.turns.model_dump()) if spec.opponents == "in_turn" else None,
-            source.only,
+        )
+        in_turn = spec.opponents == "in_turn"
+        return replace(
+            case,
+            name=task.run_id,
+            turns=TurnRules(**spec.turns.model_dump()) if in_turn else None,
+            only=source.only,
             own_people=source.people.own,
         )
     assert task.record is not None, "the plan finds the scenes of recordings"

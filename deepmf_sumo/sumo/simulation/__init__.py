@@ -1,7 +1,6 @@
 """Case + planner + policy -> Rollout: the loop over SUMO."""
 
-from deepmf_sumo.sumo.simulation.cases import network_case
 from deepmf_sumo.sumo.simulation.episode import plain, simulate
-from deepmf_sumo.sumo.simulation.sumo_config import hold, release
+from deepmf_sumo.sumo.simulation.sumo_config import hold, network_case, release
 
 __all__ = ["hold", "network_case", "plain", "release", "simulate"]

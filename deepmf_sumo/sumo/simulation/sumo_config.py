@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.scene import TrafficCase, VehicleModel
+from deepmf_sumo.scene import AgentId, TrafficCase, VehicleModel
+from deepmf_sumo.sumo.network.sumo_road import road_once
 from deepmf_sumo.sumo.simulation import sumo_options, sumo_words
 from deepmf_sumo.sumo.simulation.sumo_api import (
     STEP_OPTIONS,
@@ -303,3 +304,32 @@ def command_line(traffic: Traffic, more: str = "") -> Iterator[tuple[list[str], 
             *STEP_OPTIONS,
         ]
         yield confined(arguments, Path(folder)), Path(folder)
+
+
+def network_case(
+    config: Path,
+    start_s: float,
+    av: AgentId,
+    duration_steps: int = 80,
+    seed: int = 0,
+    sumo_options: tuple[str, ...] = (),
+) -> TrafficCase:
+    """The case of a .sumocfg whose vehicle ``av`` the planner drives from ``start_s`` on.
+
+    ``sumo_options``: beside the configuration, as on SUMO's command line.
+
+    Raises SimulationError if the configuration or its network is missing. Whether the vehicle is
+    present at the start is known only in the simulation.
+    """
+    configuration = read_configuration(config, sumo_options)
+    return TrafficCase(
+        name=f"{config.stem}-{av}-{start_s:g}s",
+        road=road_once(configuration.net, configuration.additional),
+        av_id=av,
+        duration_steps=duration_steps,
+        seed=seed,
+        config=config,
+        start_s=start_s,
+        net_file=configuration.net,
+        sumo_options=sumo_options,
+    )

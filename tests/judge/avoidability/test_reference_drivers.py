@@ -2,12 +2,18 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given as drawn
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, VehicleState
-from deepmf_sumo.judge.avoidability.grading import avoidable
+from deepmf_sumo.judge.avoidability.grading import (
+    AvAhead,
+    OpponentFutures,
+    TakeOver,
+    avoidable,
+)
 from deepmf_sumo.judge.avoidability.reference_drivers import Approach, drive
 
 CAR = np.array([4.8, 2.0])
@@ -24,10 +30,18 @@ def leaders(gap_m, speed_mps, left_m=0.0, aside_mps=0.0, steps=STEPS, heading=0.
     return now, np.stack([x, y], -1)[None, 1:], np.full((1, steps), heading)
 
 
-def avoids(by, speed_mps, now, position, heading, path=None):
+NO_PATH = np.empty((0, 2))
+
+
+def given(start, now, position, heading, path=NO_PATH):
+    """The AV and the opponent's futures, both of the size of a car."""
+    futures = OpponentFutures(now=now, size_m=CAR, position_m=position, heading_rad=heading)
+    return AvAhead(now=start, size_m=CAR, path_m=path), futures, DT
+
+
+def avoids(by, speed_mps, *where, path=NO_PATH):
     start = VehicleState(np.zeros(2), 0.0, speed_mps)
-    path = np.empty((0, 2)) if path is None else path
-    return bool(avoidable(start, CAR, path, now, CAR, position, heading, DT, by)[0])
+    return bool(avoidable(*given(start, *where, path), by)[0])
 
 
 def stopping_way(closing_mps):
@@ -138,7 +152,7 @@ def test_who_enters_the_corridor_when():
 
 
 @settings(max_examples=12, deadline=None)
-@given(
+@drawn(
     by=st.sampled_from(["cc", "fsm", "rss"]),
     speed=st.floats(4.0, 25.0),
     closing=st.floats(2.0, 12.0),
@@ -153,15 +167,13 @@ def test_more_gap_is_never_worse(by, speed, closing, steps):
 
 
 @settings(max_examples=8, deadline=None)
-@given(angle=st.floats(-3.1, 3.1), shift=st.floats(-500, 500), gap=st.floats(2.0, 25.0))
+@drawn(angle=st.floats(-3.1, 3.1), shift=st.floats(-500, 500), gap=st.floats(2.0, 25.0))
 def test_the_frame_does_not_matter(angle, shift, gap):
     now, position, heading = leaders(gap, 8.0, left_m=3.5, aside_mps=1.2)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     start = VehicleState(np.full(2, shift), angle, 15.0)
     moved = VehicleState(now.position_m @ turn + shift, now.heading_rad + angle, now.speed_mps)
-    there = avoidable(
-        start, CAR, np.empty((0, 2)), moved, CAR, position @ turn + shift, heading + angle, DT
-    )
+    there = avoidable(*given(start, moved, position @ turn + shift, heading + angle))
     assert there[0] == avoids("any", 15.0, now, position, heading)
 
 
@@ -174,7 +186,7 @@ def test_many_futures_at_once_are_the_same_as_one_by_one():
     position, heading = np.stack([x, y], -1), np.zeros((8, STEPS))
     start = VehicleState(np.zeros(2), 0.0, 14.0)
     for by in ("any", "all", "rss"):
-        together = avoidable(start, CAR, np.empty((0, 2)), now, CAR, position, heading, DT, by)
+        together = avoidable(*given(start, now, position, heading), by)
         alone = [
             avoids(by, 14.0, now, position[row : row + 1], heading[row : row + 1])
             for row in range(8)
@@ -235,8 +247,7 @@ def test_any_and_all_are_what_each_driver_says():
     start = VehicleState(np.zeros(2), 0.0, 14.0)
 
     def by(who):
-        known = (start, CAR, np.empty((0, 2)), now, CAR, *futures, DT, who)
-        return avoidable(*known, expected_m=expected)
+        return avoidable(*given(start, now, *futures), who, TakeOver(expected_m=expected))
 
     each = np.stack([by(name) for name in reference_drivers.MODELS])
     np.testing.assert_array_equal(by("any"), each.any(axis=0))
