@@ -1,17 +1,19 @@
 """``deepmf-sumo export``: result folders -> files of other programs."""
 
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
-from deepmf_sumo.cli._exports import show_exports
 from deepmf_sumo.cli._parameters import results_argument
 from deepmf_sumo.errors import UsageError, exit_code
+from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.report.risk.gis import Form
-    from deepmf_sumo.results.exports import Only
+    from deepmf_sumo.results.exports import Export, Only
 
 
 _MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
@@ -21,6 +23,8 @@ _MAPS: "Final[dict[str, tuple[Form, ...]]]" = {
     "csv": (),
 }
 """Formats of places and attacks of all runs, which `risk` writes, by its ``--gis``."""
+_LISTED: Final = 5
+"""Ids of runs in a line."""
 
 
 @click.command("export", short_help="Write runs in the format of another program.")
@@ -68,7 +72,7 @@ def command(
     form = exports.Format.named(name, _values(sets))
     runs = exports.chosen(folders)
     found = list(exports.export(runs, form, out=out, only=only, overwrite=overwrite))
-    show_exports(name, found)
+    _show(name, found)
     ctx.exit(exit_code("failed" if any(one.outcome == "failed" for one in found) else "fine"))
 
 
@@ -91,3 +95,27 @@ def _values(sets: tuple[str, ...]) -> dict[str, str]:
             raise UsageError(f"--set {one}: must be key=value, e.g. version=3.0.")
         values[key.strip()] = text.strip()
     return values
+
+
+def _show(name: str, found: "Sequence[Export]") -> None:
+    """What was written, and a line for each reason why a run was not."""
+    from deepmf_sumo.report.table import counted
+
+    written = [one for one in found if one.outcome == "written"]
+    click.echo(f"{name}: {len(written)} of {counted(len(found), 'run')} written")
+    if written:
+        more = f" and {len(written) - 1} more" * (len(written) > 1)
+        click.echo(shown(f"{written[0].path}{more}"))
+    for outcome, word in (("written", "note"), ("left out", "left out"), ("failed", "failed")):
+        for reason, ids in _by_reason(found, outcome).items():
+            some = ", ".join(ids[:_LISTED]) + (", ..." if len(ids) > _LISTED else "")
+            line = f"{word}: {counted(len(ids), 'run')}: {reason}: {some}"
+            click.echo(shown(line), err=outcome == "failed")
+
+
+def _by_reason(found: "Sequence[Export]", outcome: str) -> dict[str, list[str]]:
+    ids = defaultdict(list)
+    for one in found:
+        if one.outcome == outcome and one.reason:
+            ids[one.reason].append(one.run_id)
+    return ids

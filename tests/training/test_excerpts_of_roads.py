@@ -3,7 +3,7 @@
 import numpy as np
 
 from deepmf_sumo.scene import Lane, Neighbour, Polyline, RoadMap, StopSign
-from deepmf_sumo.sumo.network.excerpt import Excerpts
+from deepmf_sumo.training.recording.scenes import Excerpts
 
 
 def lane(name, start, end, **more):
