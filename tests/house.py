@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from deepmf_sumo import plugins
 from deepmf_sumo.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,6 +88,13 @@ def options() -> dict[str, int]:
     return found
 
 
+def settings(adversary: str) -> dict[str, int]:
+    """Keys of an adversary's settings: how many each has below it, 0 of plain values."""
+    keys = plugins.settings_class("adversaries", adversary).model_fields
+    below = {name: getattr(key.annotation, "model_fields", {}) for name, key in keys.items()}
+    return {name: len(inner) for name, inner in below.items()}
+
+
 def show() -> None:
     """Print the marks."""
     by_room, by_command = lines(), options()
@@ -98,6 +106,8 @@ def show() -> None:
         print("   ", each)
     print("options of what users call:", public_options())
     print("options of all commands:", sum(by_command.values()), "most:", max(by_command.values()))
+    keys = settings("deepmf")
+    print("settings of deepmf:", len(keys), "and in its mappings:", sum(keys.values()))
     print("lines of rooms:", ", ".join(f"{name} {count}" for name, count in by_room.items()))
     print("lines:", sum(by_room.values()) - optional, "optional:", optional, "tests:", tests)
 

@@ -33,3 +33,10 @@ def test_files_of_tests_have_names_of_their_own():
     """pytest takes two files of one name in folders without __init__.py for one module."""
     names = [file.name for file in (house.ROOT / "tests").rglob("test_*.py")]
     assert [name for name, count in Counter(names).items() if count > 1] == []
+
+
+def test_deepmf_has_few_settings_and_one_mapping_of_what_studies_vary():
+    keys = house.settings("deepmf")
+    assert len(keys) <= 14
+    assert [name for name, below in keys.items() if below] == ["form"]
+    assert keys["form"] <= 9

@@ -483,7 +483,7 @@ class Sector(Constraint):
     keeps_plan = True
 
     def __init__(self, settings: Settings) -> None:
-        self._sector, self._count = settings.wanted_sector, settings.goal_candidates
+        self._sector, self._count = settings.wanted_sector, settings.form.goal_candidates
 
     def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
         assert self._sector is not None

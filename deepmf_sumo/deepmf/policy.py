@@ -109,7 +109,7 @@ class DeepMF:
         self._settings = settings
         self._predictors = predictors
         self._partner_id = partner_id
-        self._planner = (settings.av_driver or av_driver) == "planner"
+        self._planner = av_driver == "planner"
         self._objective = Objective()
         self._scores: OpponentScores | None = None
         self._attack: _Attack | None = None
@@ -136,7 +136,7 @@ class DeepMF:
         """
         settings, watch = self._settings, Stopwatch()
         self._objective = Objective(
-            rule=settings.choice_rule, likelihood_weight=settings.likelihood_weight, rng=rng
+            rule=settings.choice_rule, likelihood_weight=settings.form.likelihood_weight, rng=rng
         )
         self._attack = None
         who = "all" if settings.names_opponent else settings.attackers
@@ -179,7 +179,7 @@ class DeepMF:
         found = support.supported(
             support.AttackPlan.of(situation, plan),
             self._predictors.marginal,
-            self._settings.candidates,
+            self._settings.form.candidates,
             attack.supporter,
         )
         attack.supporter = found.plan
@@ -215,15 +215,15 @@ class DeepMF:
         """The AV's prediction, which does not depend on the opponent."""
         settings, conditional = self._settings, self._predictors.conditional
         prediction = conditional.predict(view, view.av_id, planner=self._planner)
-        needed = settings.goal_candidates or settings.constrained
-        unattacked = prediction.given(None, settings.reactions)[0] if needed else None
+        needed = settings.form.goal_candidates or settings.constrained
+        unattacked = prediction.given(None, settings.form.reactions)[0] if needed else None
         watch.lap("conditional")
         return _Av(prediction, unattacked)
 
     def _av_ahead(self, view: View) -> Forecast:
         """The AV's futures without an attack."""
         prediction = self._predictors.conditional.predict(view, view.av_id, planner=self._planner)
-        return prediction.given(None, self._settings.reactions)[0]
+        return prediction.given(None, self._settings.form.reactions)[0]
 
     def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
         """The opponent's plan: generate, predict, collide, constrain, choose."""
@@ -285,15 +285,15 @@ class DeepMF:
         settings, limits, start = self._settings, situation.limits, situation.start
         predictor = self._predictors.people if situation.person else self._predictors.marginal
         prediction = predictor.predict(situation.view, situation.opponent_id)
-        modes = prediction.modes(settings.candidates)
+        modes = prediction.modes(settings.form.candidates)
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
         watch.lap("marginal")
         paths = own_paths(modes, start) if situation.unattacked else []
-        parts += _goals(situation, paths, settings.goal_candidates)
+        parts += _goals(situation, paths, settings.form.goal_candidates)
         for constraint in attack.constraints:
             parts += constraint.references(situation, paths)
-        if settings.keep_tail or any(one.keeps_plan for one in attack.constraints):
+        if any(one.keeps_plan for one in attack.constraints):
             parts += candidates.tail(situation, FUTURE_STEPS)
         watch.lap("goals")
         references = References.joined(parts)
@@ -316,9 +316,9 @@ class DeepMF:
 
     def _reactions(self, av: _Av, own: Candidates) -> list[Forecast]:
         """The AV's futures given each candidate; without condition the same ones for all."""
-        if self._settings.conditional:
-            return av.prediction.given(own.forecast.futures, self._settings.reactions)
-        alone = av.unattacked or av.prediction.given(None, self._settings.reactions)[0]
+        if self._settings.form.conditional:
+            return av.prediction.given(own.forecast.futures, self._settings.form.reactions)
+        alone = av.unattacked or av.prediction.given(None, self._settings.form.reactions)[0]
         return [alone] * len(own.forecast.probability)
 
     def _choose(

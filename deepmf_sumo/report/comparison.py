@@ -17,7 +17,7 @@ from deepmf_sumo.results import findings, frames, statistics
 from deepmf_sumo.results.findings import APART, NAMES
 from deepmf_sumo.results.quantities import AVERAGED, BY_NAME
 from deepmf_sumo.results.reader import Results, Run
-from deepmf_sumo.spec.profiles import described
+from deepmf_sumo.spec.profiles import described, published
 
 _APART: Final = (
     "spec", "planner", "perception", "method", "planner_label", "part", "profile", "constraints",
@@ -102,7 +102,7 @@ class RunGroup:
         """`` as published`` of DeepMF's ``form: paper``, by the first result."""
         run = next((one for one in self.runs if one.has_result), None)
         settings = {} if run is None else run.result["settings"]["adversary"] or {}
-        return " as published" if settings.get("form") == "paper" else ""
+        return " as published" if published(settings) else ""
 
     def _joined(self, *names: str) -> str:
         return " ".join(filter(None, map(self.text, names)))

@@ -16,7 +16,7 @@ from deepmf_sumo.results import planned, sessions, stored
 from deepmf_sumo.results.frames import digest_of
 from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.results.reader import Run, without_ladder
-from deepmf_sumo.results.setups import setup_of
+from deepmf_sumo.results.setups import renewed, setup_of
 
 FORMAT_VERSION: Final = 3
 """Files of format 2 are read: they contain less of the setup of attacks."""
@@ -129,7 +129,7 @@ def _of_file(file: Path) -> RunSet:
     try:
         rows = [_kept(row) for row in values["runs"]]
         version = str(values["version"])
-        attacks = {str(digest): dict(setup) for digest, setup in values["attacks"].items()}
+        attacks = {str(digest): renewed(setup) for digest, setup in values["attacks"].items()}
         runs = frame_of(rows)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UsageError(f"{file} is damaged ({error}); write it with --write-baseline.") from None

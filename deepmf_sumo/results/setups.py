@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pandas as pd
 
 from deepmf_sumo.results.result import Result
-from deepmf_sumo.spec.profiles import applies_to, described
+from deepmf_sumo.spec.profiles import applies_to, described, in_todays_words
 
 if TYPE_CHECKING:
     from deepmf_sumo.results.run_sets import RunSet
@@ -35,6 +35,7 @@ _FOLDERS: Final = re.compile(r"[^=,\s]*/")
 WHOM: Final = "adversary.opponent"
 """The setting that holds the id of a vehicle where each moment has an opponent of its own."""
 
+_OURS: Final = "adversary."
 _UNRECORDED: Final = "earlier version"
 """The key of a setup of which less is recorded."""
 
@@ -71,7 +72,16 @@ def setup_of(result: Result) -> dict[str, Any]:
         found["adversary's files"] = f"files {inputs['adversary'][:12]}"
     if result.get("setup") is None:
         found[_UNRECORDED] = True
-    return found
+    return renewed(found)
+
+
+def renewed(setup: Mapping[str, Any]) -> dict[str, Any]:
+    """A setup that an earlier version recorded, its settings of DeepMF in the words of today."""
+    if not applies_to(str(setup.get("adversary"))):
+        return dict(setup)
+    kept = {name: value for name, value in setup.items() if not name.startswith(_OURS)}
+    ours = {name.removeprefix(_OURS): setup[name] for name in setup.keys() - kept.keys()}
+    return kept | dict(_flat(in_todays_words(ours), _OURS))
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

@@ -7,6 +7,7 @@ states wins over its profile. Commands without a spec (`attack`, `attach`, `serv
 spec, so that the same words mean the same attack everywhere.
 """
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -16,8 +17,10 @@ from pydantic_core import PydanticCustomError
 
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError
+from deepmf_sumo.scene.geometry.impact import SECTORS
 
 ProfileName = Literal["fair", "any", "lawful", "paper"]
+FormName = Literal["extended", "paper"]
 
 LONG_S: Final = 15.0
 """The time of one opponent: in a longer attack several take turns."""
@@ -36,7 +39,7 @@ class Profile:
     """
 
     constraints: tuple[str, ...] = ()
-    form: Literal["paper", "extended"] = "extended"
+    form: FormName = "extended"
     rule: str | None = "likeliest"
     in_turn: bool = True
     tries: int = 1
@@ -60,9 +63,16 @@ DEFAULT_RULES: Final = {1: "expected", 2: "likeliest", 3: PROFILES["any"].rule o
 GOAL: Final = "finding"
 """What ends the tries of a profile that has several."""
 _EARLIER_GOAL: Final = "avoidable"
-SWITCHES: Final = ("fair", "lawful", "no_rear_end")
-"""Constraints that versions 1 and 2 have as settings of their own, true or false, too."""
-_REAR: Final = ("rear", 4)
+_SWITCHES: Final = ("fair", "lawful", "no_rear_end")
+_IN_FORM: Final = (
+    "tried_opponents", "likelihood_weight", "comfort_weight", "candidates", "goal_candidates",
+    "shortlist", "reactions", "conditional",
+)  # fmt: skip
+_GONE: Final = {"keep_tail": False, "av_driver": None, "version": None}
+"""How versions 1 and 2 spell DeepMF's settings: constraints that are switched on or off, numbers of
+the method beside all others, and what has no other value any more; sectors may be numbers, too.
+`in_todays_words` reads them."""
+_REAR: Final = "rear"
 
 
 def wrong(rule: str, key: str = "") -> PydanticCustomError:
@@ -83,7 +93,7 @@ def left_open(names: Iterable[str], settings: Mapping[str, Any]) -> list[str]:
 
     An attack on the rear end is a ram, which hardly any driver could avoid.
     """
-    away = {"no_rear_end", "fair"} if settings.get("sector") in _REAR else set()
+    away = {"no_rear_end", "fair"} if settings.get("sector") == _REAR else set()
     return sorted({*names} - away)
 
 
@@ -104,10 +114,16 @@ def completed(values: Mapping[str, Any]) -> dict[str, Any]:
     if "profile" in found:
         raise wrong(f"is a key of version 3, and this is version {version}", "profile")
     ours = applies_to(str(choice.get("name")))
-    found["profile"] = "paper" if ours and choice.get("form") == "paper" else "any"
+    found["profile"] = "paper" if ours and published(choice) else "any"
     if ours:
         default = DEFAULT_RULES[version] if version > 1 else None
-        found["adversary"] = _ruled(with_listed(choice), default, version)
+        found["adversary"] = _ruled(in_todays_words(choice), default, version)
+        for key in found["adversary"]:
+            if key in _SWITCHES:
+                raise wrong("must be true or false", f"adversary.{key}")
+            if key in _GONE:
+                rule = "is gone; leave it out, or run the spec with deepmf-sumo 0.1"
+                raise wrong(rule, f"adversary.{key}")
     return found
 
 
@@ -116,7 +132,7 @@ def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, An
     if not (isinstance(name, str) and name in PROFILES):
         return found  # which is refused where keys are checked
     if applies_to(str(choice.get("name"))):
-        if choice.get("form") == "paper":
+        if published(choice):
             name = found["profile"] = "paper"
         found["adversary"] = _profiled(choice, name)
     if "source" in found:
@@ -138,7 +154,7 @@ def _searched(
     know of no tries), for any hit, or on the rear end, which cannot become a finding.
     """
     other = {"constraints", "period_s"} & stated.keys() or settings.get("goal", GOAL) != GOAL
-    if profile.tries == 1 or other or stated.get("sector") in _REAR:
+    if profile.tries == 1 or other or stated.get("sector") == _REAR:
         return settings
     return {"goal": GOAL, "tries": profile.tries, **settings}
 
@@ -151,51 +167,88 @@ def in_one_try(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
     """DeepMF's settings with what the profile stands for."""
     profile = PROFILES[name]
-    for switch in SWITCHES:
-        if switch in choice:
-            raise wrong(_as_list(choice, switch, profile), f"adversary.{switch}")
+    for key in choice:
+        if instead := _instead(choice, key, profile):
+            raise wrong(f"is of versions 1 and 2; {instead}", f"adversary.{key}")
     if profile.form == "paper":
-        if choice.get("form", "paper") != "paper":
+        form = with_preset(choice.get("form", "paper"))
+        if isinstance(form, dict) and form.setdefault("preset", "paper") != "paper":
             rule = "contradicts the profile paper; leave one of them out"
             raise wrong(rule, "adversary.form")
-        return {**choice, "form": "paper"}
+        return {**choice, "form": "paper" if form == {"preset": "paper"} else form}
     listed = choice.get("constraints", left_open(profile.constraints, choice))
-    return _ruled(with_listed({**choice, "constraints": listed}), profile.rule, 3)
+    return _ruled({**choice, "constraints": _in_order(listed)}, profile.rule, 3)
 
 
-def _as_list(choice: Mapping[str, Any], switch: str, profile: Profile) -> str:
-    """What to write in place of a constraint that is switched on or off."""
-    listed = choice.get("constraints", left_open(profile.constraints, choice))
-    others = {one for one in listed if one != switch} if _are_names(listed) else set()
-    meant = sorted(others | {switch} if choice[switch] is True else others)
-    profiles = [name for name in PROFILES if name == switch and choice[switch] is True]
-    instead = f", or profile: {profiles[0]}" if profiles else ""
+def _instead(choice: Mapping[str, Any], key: str, profile: Profile) -> str:
+    """What version 3 has in place of a key of an earlier version; empty of others."""
+    value = choice[key]
+    if key in _SWITCHES:
+        meant = [key] if value is True else []
+        named = [name for name in PROFILES if name in meant]
+        profiles = f", or profile: {named[0]}" if named else ""
+        return (
+            f"version 3 lists all constraints: {_listing(choice, {key}, meant, profile)}" + profiles
+        )
+    if key == "goal" and value == _EARLIER_GOAL:
+        return f"write goal: {GOAL}, and {_listing(choice, set(), ['clean', 'fair'], profile)}"
+    if key == "sector" and _is_number(value):
+        return f"write adversary.sector: {SECTORS[value]}"
+    if key in _GONE:
+        return "leave it out: nothing takes its place"
     return (
-        "is of versions 1 and 2; version 3 lists all constraints: write adversary.constraints:"
-        f" [{', '.join(meant)}]{instead}"
+        f"write adversary.form: {{{key}: {json.dumps(value, default=str)}}}"
+        if key in _IN_FORM
+        else ""
     )
 
 
-def with_listed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """DeepMF's settings, their constraints in one list, each once, in the order of their names.
+def _listing(
+    choice: Mapping[str, Any], without: set[str], meant: Iterable[str], profile: Profile
+) -> str:
+    listed = choice.get("constraints", left_open(profile.constraints, choice))
+    others = {*listed} - without if _are_names(listed) else set()
+    return f"write adversary.constraints: [{', '.join(sorted(others | {*meant}))}]"
 
-    Switches that are false switch nothing off; one that is neither true nor false is left for the
-    settings to refuse. The goal ``avoidable`` had constraints of its own.
+
+def _is_number(sector: Any) -> bool:
+    return type(sector) is int and 0 <= sector < len(SECTORS)
+
+
+def with_preset(form: Any) -> Any:
+    """DeepMF's form as a mapping: ``paper`` is short for ``{preset: paper}``."""
+    return {"preset": form} if isinstance(form, str) else form
+
+
+def published(settings: Mapping[str, Any]) -> bool:
+    """Whether DeepMF's settings, of a spec or a result, are of the form as published."""
+    form = with_preset(settings.get("form"))
+    return isinstance(form, Mapping) and form.get("preset") == "paper"
+
+
+def in_todays_words(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """DeepMF's settings of specs of versions 1 and 2, or of earlier results, as version 3 has them.
+
+    Constraints in one list, each once, in the order of their names: switches that are false switch
+    nothing off, and the goal ``avoidable`` had constraints of its own. What has another value than
+    it can have today, or is neither true nor false, is left for the settings to refuse.
     """
-    found, listed = dict(settings), _in_order(settings.get("constraints", ()))
-    known = _are_names(listed)  # what is none is refused
-    names = {*listed} if known else set()
+    found, names = dict(settings), settings.get("constraints", ())
+    switched = [one for one in _SWITCHES if isinstance(found.get(one), bool) and found.pop(one)]
     if found.get("goal") == _EARLIER_GOAL:
         found["goal"] = GOAL
-        names |= {"clean", "fair"}
-    for switch in SWITCHES:
-        if found.get(switch) is True:
-            names.add(switch)
-        elif found.get(switch) is not False:
-            continue
-        del found[switch]
-    if known and (names or "constraints" in found):
-        found["constraints"] = sorted(names)
+        switched += ["clean", "fair"]
+    if _are_names(names) and (switched or "constraints" in found):
+        found["constraints"] = sorted({*names, *switched})
+    if _is_number(found.get("sector")):
+        found["sector"] = SECTORS[found["sector"]]
+    numbers = {key: found.pop(key) for key in _IN_FORM if key in found}
+    form = with_preset(found.get("form", {}))
+    if numbers and isinstance(form, Mapping):
+        found["form"] = {"preset": "extended", **form, **numbers}
+    for key, only in _GONE.items():
+        if key in found and found[key] is only:
+            del found[key]
     return found
 
 
@@ -210,15 +263,16 @@ def _are_names(names: Any) -> bool:
 
 def _ruled(choice: dict[str, Any], rule: str | None, version: int) -> dict[str, Any]:
     """DeepMF's settings with the rule, where they leave it open."""
-    if rule is None or choice.get("form") == "paper" or "rule" in choice:
+    if rule is None or published(choice) or "rule" in choice:
         return choice
     if choice.get("aggressiveness") is not None:
         return choice
-    if "likelihood_weight" in choice:
+    form = choice.get("form")
+    if isinstance(form, Mapping) and "likelihood_weight" in form:
         raise wrong(
             f"is for the rules expected and pair, and in version {version} the rule is likeliest"
             " where none is said; add rule: expected, or leave likelihood_weight out",
-            "adversary.likelihood_weight",
+            "adversary.form.likelihood_weight" if version == 3 else "adversary.likelihood_weight",
         )
     return {**choice, "rule": rule}
 

@@ -23,9 +23,9 @@ WISHES: Final = {
     "rule": "expected",
     "constraints": "[lawful]",
     "opponent": "met",
-    "candidates": "12",
-    "goal_candidates": "16",
-    "reactions": "4",
+    "form.candidates": "12",
+    "form.goal_candidates": "16",
+    "form.reactions": "4",
 }
 """Of the adversary: a lawful opponent, and little effort for each attack."""
 WHEN: Final = (

@@ -34,8 +34,8 @@ PLANNERS: Final[dict[AvName, dict[str, Any]]] = {
 SIMULATORS: Final = ("metadrive", "sumo")
 METHODS: Final[dict[str, dict[str, Any]]] = {
     "none": {"name": "none"},
-    "paper": {"name": "deepmf", "form": "paper", "version": "S1"},
-    "extended": {"name": "deepmf", "version": "S1"},
+    "paper": {"name": "deepmf", "form": "paper", "period_s": 1.0},
+    "extended": {"name": "deepmf", "period_s": 1.0},
 }
 _MEASURED: Final = ("opponent_rms_acceleration", "avoidable", "collision_speed")
 

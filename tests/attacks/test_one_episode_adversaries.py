@@ -50,7 +50,7 @@ def loads(monkeypatch):
 
 
 def test_deepmf_attacks_in_one_episode(loads):
-    found, simulate = attack("deepmf", {"version": "S2", "rule": "likeliest"}, weights_name="mine")
+    found, simulate = attack("deepmf", {"period_s": 2.0, "rule": "likeliest"}, weights_name="mine")
     assert loads == ["mine"]
     assert (found.simulations, len(simulate.policies)) == (1, 1)
     assert simulate.policies[0].period_steps == 20

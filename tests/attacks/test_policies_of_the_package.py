@@ -47,7 +47,7 @@ def test_unknown_settings_are_refused(name):
     ("name", "values"),
     [
         ("deepmf", {"period_s": float("inf")}),
-        ("deepmf", {"likelihood_weight": float("nan")}),
+        ("deepmf", {"form": {"likelihood_weight": float("nan")}}),
         ("trajectory", {"agent": "b", "poses": [[float("nan"), 3.5, 0.0]]}),
     ],
 )

@@ -85,7 +85,7 @@ def test_the_answer_to_what_was_tried_is_known():
     braking = straight(0, 0, 10, accel=-5)[:, :3]
     simulate = Simulation(av=braking[:31])  # stands 2 s after now
     simulate.av = np.concatenate([braking[:31], np.repeat(braking[30:31], 60, axis=0)])
-    attack(simulate, tries=2, opponent="b", tried_opponents=1)
+    attack(simulate, tries=2, opponent="b", form={"tried_opponents": 1})
     first, second = (plan.reason for plan in simulate.plans)
     assert len(second.reactions[0].probability) == len(first.reactions[0].probability) + 1
     driven = first.candidates.futures.position_m[first.chosen]
@@ -101,7 +101,9 @@ def test_the_answer_to_what_was_tried_is_known():
     assert not np.allclose(simulate.plans[0].position_m, simulate.plans[1].position_m, atol=0.1)
 
 
-@pytest.mark.parametrize("values", [{}, {"constraints": ["fair", "clean"]}, {"conditional": False}])
+@pytest.mark.parametrize(
+    "values", [{}, {"constraints": ["fair", "clean"]}, {"form": {"conditional": False}}]
+)
 def test_what_no_try_changes_is_predicted_once(monkeypatch, values):
     made = {}
     for shared in (True, False):
@@ -128,7 +130,7 @@ def test_what_no_try_changes_is_predicted_once(monkeypatch, values):
 
 def test_nothing_is_kept_where_no_try_follows():
     """A policy of a live attack has no end: it may not gather predictions."""
-    settings = plugins.settings("adversaries", "deepmf", {"tried_opponents": 2})
+    settings = plugins.settings("adversaries", "deepmf", {"form": {"tried_opponents": 2}})
     experience = Experience()
     Simulation()(build(settings, Doubles(), experience=experience))
     assert experience.predicted == {}
@@ -136,7 +138,7 @@ def test_nothing_is_kept_where_no_try_follows():
 
 def test_the_weight_of_an_answer_falls_with_the_distance_from_what_was_tried():
     simulate = Simulation()
-    attack(simulate, tries=2, opponent="b", tried_opponents=1)
+    attack(simulate, tries=2, opponent="b", form={"tried_opponents": 1})
     reason = simulate.plans[1].reason
     apart = reason.candidates.futures.position_m - simulate.plans[0].position_m
     square = (apart[:, :30] ** 2).sum(-1).mean(-1)
@@ -230,11 +232,6 @@ def test_an_only_opponent_that_repeats_itself_ends_the_tries():
     rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(-8, 3.5, 12)})
     assert experience.add(rollout, wanted=False)
     assert not experience.add(rollout, wanted=False)
-
-
-def test_the_goal_avoidable_is_a_finding_with_the_constraints_that_it_had():
-    found = plugins.settings("adversaries", "deepmf", {"goal": "avoidable"})
-    assert (found.goal, found.constraints) == ("finding", ("clean", "fair"))
 
 
 def test_a_case_without_an_opponent_has_no_trials():

@@ -123,7 +123,7 @@ def cycles(cases: list[RecordedCase], weights: str) -> None:
     replay = plugins.load("planners", "replay")
     for threads in (1, 2):
         torch.set_num_threads(threads)
-        adversary = module.build(module.Settings(version="S1"), weights)
+        adversary = module.build(module.Settings(period_s=1.0), weights)
         parts, generation = [], []
         for number, case in enumerate(cases[:10]):
             attack = adversary.attack(

@@ -36,7 +36,7 @@ def before_contact(reason):
 
 
 def test_candidates_that_leave_the_road_before_the_contact_are_not_clean():
-    reason = reason_of(AGENTS, goal="avoidable")
+    reason = reason_of(AGENTS, constraints=["clean", "fair"])
     clean = reason.allowed["clean"]
     y = reason.candidates.futures.position_m[..., 1]
     off = ((y > 3.5 + HALF_M) | (y < -HALF_M)) & before_contact(reason)
@@ -47,7 +47,7 @@ def test_candidates_that_leave_the_road_before_the_contact_are_not_clean():
 
 
 def test_hits_off_the_road_are_no_attack():
-    reason = reason_of(AGENTS, constraints=["on_road"], shortlist=None)
+    reason = reason_of(AGENTS, constraints=["on_road"], form={"shortlist": None})
     y = reason.candidates.futures.position_m[..., 1]
     off = ((y > 3.5 + HALF_M) | (y < -HALF_M)) & before_contact(reason)
     left = off[:, ::3].any(axis=1)
@@ -57,8 +57,8 @@ def test_hits_off_the_road_are_no_attack():
 
 
 def test_the_shortlist_counts_meetings_on_the_road_alone():
-    short = reason_of(AGENTS, constraints=["on_road"], shortlist=8)
-    all_of_them = reason_of(AGENTS, constraints=["on_road"], shortlist=None)
+    short = reason_of(AGENTS, constraints=["on_road"], form={"shortlist": 8})
+    all_of_them = reason_of(AGENTS, constraints=["on_road"], form={"shortlist": None})
     kept = short.allowed["on_road"] & short.collides.any(axis=1)
     meets = all_of_them.allowed["on_road"] & all_of_them.collides.any(axis=1)
     assert len(kept) == 8
@@ -68,7 +68,7 @@ def test_the_shortlist_counts_meetings_on_the_road_alone():
 def test_a_second_against_the_traffic_is_no_attack():
     """All lanes lead to the east."""
     reason = reason_of({"av": (0, 0, 0, 10.0), "b": (60, 3.5, np.pi, 8.0)},
-                       constraints=["with_traffic"], shortlist=None)  # fmt: skip
+                       constraints=["with_traffic"], form={"shortlist": None})  # fmt: skip
     meets = reason.collides.any(axis=1)
     assert meets.any()
     heading = reason.candidates.futures.heading_rad
@@ -134,7 +134,7 @@ def test_others_drive_on_or_as_in_an_earlier_episode():
     assert seen.valid.all()
 
 
-@pytest.mark.parametrize("values", [{"goal": "avoidable"}, {"constraints": ["clean"]}])
+@pytest.mark.parametrize("values", [{"constraints": ["clean", "fair"]}, {"constraints": ["clean"]}])
 def test_the_choice_is_clean_if_anything_is(values):
     reason = reason_of(AGENTS, **values)
     assert reason.allowed["clean"][reason.chosen]

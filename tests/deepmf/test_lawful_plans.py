@@ -7,6 +7,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.deepmf import constraints, policy
 from deepmf_sumo.deepmf.constraints import Mask
 from deepmf_sumo.deepmf.scoring import Objective, Pairs
+from deepmf_sumo.deepmf.settings import Form
 
 from tests.support import one_attacker
 from tests.support.predictor_doubles import Doubles, view_of
@@ -73,14 +74,14 @@ def test_no_plan_rams_the_av_from_behind():
     wild = plan_of(BEHIND)
     assert wild.reason.collides[wild.reason.chosen].any()
     assert wild.reason.lawful is None
-    tame = plan_of(BEHIND, lawful=True)
+    tame = plan_of(BEHIND, constraints=["lawful"])
     assert not tame.reason.collides[tame.reason.chosen].any()
     assert tame.reason.unmet == ("lawful",)
     assert "stop" in tame.reason.origin
 
 
 def test_the_driven_candidate_is_lawful_and_the_plan_says_which_are():
-    plan = plan_of(BESIDE, lawful=True)
+    plan = plan_of(BESIDE, constraints=["lawful"])
     reason = plan.reason
     assert reason.lawful.shape == reason.candidates.probability.shape
     assert reason.lawful[reason.chosen]
@@ -90,9 +91,12 @@ def test_the_driven_candidate_is_lawful_and_the_plan_says_which_are():
     assert "lawful" in reason.milliseconds
 
 
+WITH_FOUR = {"form": {"tried_opponents": 4}, "constraints": ["lawful"]}
+
+
 def test_an_opponent_without_lawful_ways_to_the_av_is_not_chosen():
     agents = {"av": (0, 0, 0, 10.0), "behind": (-12, 0, 0, 12.0), "beside": (30, 3.5, 0, 6.0)}
-    settings = plugins.settings("adversaries", "deepmf", {"tried_opponents": 4, "lawful": True})
+    settings = plugins.settings("adversaries", "deepmf", WITH_FOUR)
     made = policy.build(settings, Doubles())
     view = view_of(agents)
     (opponent,) = made.reset(view, np.random.default_rng(0))
@@ -107,10 +111,8 @@ def test_an_opponent_without_lawful_ways_to_the_av_is_not_chosen():
 
 
 def replace_opponent(settings, name):
-    return settings.model_copy(update={"opponent": name, "tried_opponents": 1})
+    return settings.model_copy(update={"opponent": name, "form": Form(tried_opponents=1)})
 
 
-def test_lawful_is_yes_or_no():
-    with pytest.raises(Exception, match="lawful"):
-        plugins.settings("adversaries", "deepmf", {"lawful": "mostly"})
+def test_plans_say_nothing_of_a_law_that_nobody_asked_for():
     assert plan_of(BESIDE).reason.lawful is None

@@ -80,14 +80,11 @@ def test_an_unknown_constraint_is_refused_with_the_nearest_name():
         plugins.settings("adversaries", "deepmf", {"constraints": ["fare"]})
 
 
-def test_results_name_all_constraints_in_one_list():
+def test_results_name_each_constraint_once_in_order():
     for values, expected in (
         ({}, []),
         ({"constraints": ["fair"]}, ["fair"]),
-        ({"fair": True}, ["fair"]),
-        ({"fair": False, "lawful": False, "no_rear_end": False}, []),
-        ({"lawful": True, "constraints": ["on_road", "lawful"]}, ["lawful", "on_road"]),
+        ({"constraints": ["on_road", "lawful", "on_road"]}, ["lawful", "on_road"]),
     ):
         written = plugins.settings("adversaries", "deepmf", values).model_dump(mode="json")
         assert written["constraints"] == expected
-        assert not {"fair", "lawful", "no_rear_end"} & written.keys()

@@ -66,7 +66,7 @@ def plan(agents, **values):
 def test_a_follower_does_not_ram_and_others_still_attack():
     rams = plan(BEHIND, opponent="near")
     assert rams.collides[rams.chosen].any()
-    kept = plan(BEHIND, opponent="near", no_rear_end=True)
+    kept = plan(BEHIND, opponent="near", constraints=["no_rear_end"])
     allowed = kept.allowed["no_rear_end"]
     assert not allowed.all()
     assert kept.unmet == ("no_rear_end",) or allowed[kept.chosen]
@@ -74,14 +74,12 @@ def test_a_follower_does_not_ram_and_others_still_attack():
         mass = kept.collision_mass
         assert kept.rule == "nothing no_rear_end"
         assert mass[kept.chosen] == pytest.approx(mass.min())
-    beside = plan(BESIDE, opponent="near", no_rear_end=True)
+    beside = plan(BESIDE, opponent="near", constraints=["no_rear_end"])
     assert beside.collides[beside.chosen].any()
     assert beside.allowed["no_rear_end"][beside.chosen]
 
 
 def test_it_contradicts_a_wish_for_the_rear_and_the_published_form():
-    for values in ({"sector": "rear"}, {"sector": 4}, {"form": "paper"}):
-        with pytest.raises(ValidationError, match="contradict"):
-            Settings(no_rear_end=True, **values)
+    for values in ({"sector": "rear"}, {"form": "paper"}):
         with pytest.raises(ValidationError, match="contradict"):
             Settings(constraints=["no_rear_end"], **values)

@@ -39,7 +39,7 @@ def plan_and_conditions(**values):
 
 
 def test_the_network_is_asked_without_condition_and_all_candidates_meet_the_same_av():
-    plan, given = plan_and_conditions(conditional=False, reactions=4)
+    plan, given = plan_and_conditions(form={"conditional": False, "reactions": 4})
     assert all(each is None for each in given)
     candidates = len(plan.reason.candidates.probability)
     assert len(plan.reason.reactions) == candidates
@@ -48,6 +48,6 @@ def test_the_network_is_asked_without_condition_and_all_candidates_meet_the_same
 
 
 def test_by_default_every_candidate_is_given():
-    plan, given = plan_and_conditions(goal_candidates=0)
+    plan, given = plan_and_conditions(form={"goal_candidates": 0})
     (candidates,) = given
     assert np.array_equal(candidates.position_m, plan.reason.candidates.futures.position_m)

@@ -25,7 +25,7 @@ PATHS = {
 @pytest.fixture(scope="module")
 def plan():
     view = view_of({name: (*path[10], 10.0) for name, path in PATHS.items()})
-    policy = build(Settings(candidates=8, reactions=3), Doubles())
+    policy = build(Settings(form={"candidates": 8, "reactions": 3}), Doubles())
     policy.reset(view, np.random.default_rng(0))
     return plan_of(policy, view)
 

@@ -16,7 +16,7 @@ class IdmSettings(plugins.Settings):
 
 class DeepmfSettings(plugins.Settings):
     period_s: float | None = 1.0
-    candidates: int = 32
+    tries: int = 1
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +92,7 @@ def test_recording(write, scenes, expected):
     [
         ("S1", {"period_s": 1.0}),
         ("G", {"period_s": None}),
-        ("{version: S4, candidates: 8}", {"period_s": 4.0, "candidates": 8}),
+        ("{version: S4, tries: 8}", {"period_s": 4.0, "tries": 8}),
         ("{name: S2}", {"period_s": 2.0}),
         ("deepmf", {}),
     ],

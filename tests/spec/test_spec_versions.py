@@ -48,7 +48,7 @@ RULES = {
     "name alone": ("deepmf", "expected", "likeliest"),
     "version of the paper": ("S2", "expected", "likeliest"),
     "other keys": ({"name": "deepmf", "fair": True, "tries": 3}, "expected", "likeliest"),
-    "goal": ({"goal": "avoidable", "tries": 3}, "expected", "likeliest"),
+    "goal": ({"goal": "finding", "tries": 3}, "expected", "likeliest"),
     "form said": ({"name": "deepmf", "form": "extended"}, "expected", "likeliest"),
     "rule said": ({"name": "deepmf", "rule": "expected"}, "expected", "expected"),
     "other rule": ({"name": "deepmf", "rule": "pair"}, "pair", "pair"),
@@ -71,7 +71,7 @@ def test_aggressiveness_takes_the_place_of_a_rule_in_both(write, level):
     assert settings_of(both[0]) == settings_of(both[1])
 
 
-def test_a_spec_of_version_1_is_recorded_as_it_always_was(write, tmp_path):
+def test_a_spec_of_version_1_is_recorded_without_keys_of_later_ones(write, tmp_path):
     adversary = {"name": "deepmf", "version": "S2", "likelihood_weight": 0.1}
     assert spec.load(write(1, adversary)).resolved() == {
         "version": 1,
@@ -85,7 +85,11 @@ def test_a_spec_of_version_1_is_recorded_as_it_always_was(write, tmp_path):
         "duration_s": 8.0,
         "traffic": "sumo",
         "planner": {"name": "idm"},
-        "adversary": {"name": "deepmf", "likelihood_weight": 0.1, "period_s": 2.0},
+        "adversary": {
+            "name": "deepmf",
+            "form": {"preset": "extended", "likelihood_weight": 0.1},
+            "period_s": 2.0,
+        },
         "budget": {"simulations": None, "seconds": None},
         "weights": "open",
         "seed": 0,
@@ -129,10 +133,64 @@ def test_other_versions_are_refused_in_one_sentence(write, version):
 def test_a_weight_of_a_rule_that_does_not_hold_is_refused(write):
     weighted = {"name": "deepmf", "likelihood_weight": 0.1}
     assert settings_of(spec.load(write(1, weighted))).rule == "expected"
-    for version in (2, 3):
-        with pytest.raises(SpecError, match=r"adversary\.likelihood_weight.*add rule: expected"):
-            spec.load(write(version, weighted))
-    assert settings_of(spec.load(write(2, weighted | {"rule": "pair"}))).likelihood_weight == 0.1
+    with pytest.raises(SpecError, match=r"key 'adversary\.likelihood_weight.*add rule: expected"):
+        spec.load(write(2, weighted))
+    newer = {"name": "deepmf", "form": {"likelihood_weight": 0.1}}
+    with pytest.raises(SpecError, match=r"adversary\.form\.likelihood_weight.*add rule: expected"):
+        spec.load(write(3, newer))
+    for one in (write(2, weighted | {"rule": "pair"}), write(3, newer | {"rule": "pair"})):
+        assert settings_of(spec.load(one)).form.likelihood_weight == 0.1
+
+
+EARLIER = {
+    "likelihood_weight: 0.1, rule: expected": "form: {likelihood_weight: 0.1}, rule: expected",
+    "tried_opponents: 2, comfort_weight: 0": "form: {tried_opponents: 2, comfort_weight: 0}",
+    "goal_candidates: 0, candidates: 7": "form: {goal_candidates: 0, candidates: 7}",
+    "conditional: false, shortlist: null": "form: {conditional: false, shortlist: null}",
+    "form: extended, reactions: 4": "form: {preset: extended, reactions: 4}",
+    "form: paper, reactions: 4": "form: {preset: paper, reactions: 4}",
+    "fair: true, lawful: false": "constraints: [fair]",
+    "goal: avoidable, constraints: [on_road]": "goal: finding, constraints: [clean, fair, on_road]",
+    "sector: 4": "sector: rear",
+    "keep_tail: false, av_driver: null, sector: left": "sector: left",
+}
+
+
+@pytest.mark.parametrize("earlier", EARLIER)
+def test_words_of_versions_1_and_2_keep_their_meaning(write, earlier):
+    old, new = (yaml.safe_load(f"{{{text}}}") for text in (earlier, EARLIER[earlier]))
+    for version in (1, 2):
+        today = spec.load(write(version, new))
+        assert settings_of(spec.load(write(version, old))) == settings_of(today)
+    assert settings_of(spec.load(write(3, {"constraints": []} | new))) == settings_of(today)
+
+
+@pytest.mark.parametrize(
+    ("earlier", "told"),
+    [
+        ("reactions: 1", "is of versions 1 and 2; write adversary.form: {reactions: 1}."),
+        ("shortlist: null", "is of versions 1 and 2; write adversary.form: {shortlist: null}."),
+        ("sector: 7", "is of versions 1 and 2; write adversary.sector: front_right."),
+        ("goal: avoidable", "write goal: finding, and write adversary.constraints: [clean, fair]."),
+        ("keep_tail: true", "is of versions 1 and 2; leave it out: nothing takes its place."),
+    ],
+)  # fmt: skip
+def test_version_3_says_what_to_write_in_place_of_earlier_words(write, earlier, told):
+    file = write(3, yaml.safe_load(f"{{{earlier}}}") | {"constraints": []})
+    with pytest.raises(SpecError) as refused:
+        spec.load(file)
+    assert str(refused.value).endswith(told)
+
+
+@pytest.mark.parametrize("gone", ["keep_tail: true", "av_driver: human"])
+def test_what_has_no_meaning_any_more_is_refused_with_the_version_that_knows_it(write, gone):
+    with pytest.raises(SpecError, match=r"is gone; leave it out, or run the spec with .* 0\.1\."):
+        spec.load(write(2, yaml.safe_load(f"{{{gone}}}")))
+
+
+def test_an_unknown_number_of_the_form_is_told_with_the_nearest(write):
+    with pytest.raises(SpecError, match=r"'adversary\.form\.reaction': .*Did you mean 'reactions'"):
+        spec.load(write(3, {"form": {"reaction": 4}}))
 
 
 def test_published_form_and_likeliest_contradict_each_other_in_both(write):
@@ -161,7 +219,7 @@ planners: {{lane: {{name: idm, perception: lane}}}}
 methods:
   default: S1
   paper: {{adversary: {{name: deepmf, form: paper}}}}
-  weighted: {{adversary: {{name: deepmf, rule: expected, likelihood_weight: 0.1}}}}
+  weighted: {{adversary: {{name: deepmf, rule: expected, form: {{likelihood_weight: 0.1}}}}}}
 """
 
 

@@ -12,12 +12,12 @@ data: [train]
 test: val
 study: study.yaml
 planners:
-  replay: {planner: replay, adversary.av_driver: human}
+  replay: {planner: replay, adversary.goal: hit}
   idm, lane: {planner: {name: idm, perception: lane}}
 variants:
   - {name: raster off, sizes: {raster: false}}
-  - {name: N1 16, attack: {candidates: 16, likelihood_weight: 1.0e-6}}
-  - {name: raster off N1 16, sizes: {raster: false}, attack: {candidates: 16}}
+  - {name: N1 16, attack: {form.candidates: 16, form.likelihood_weight: 1.0e-6}}
+  - {name: raster off N1 16, sizes: {raster: false}, attack: {form.candidates: 16}}
 """
 STUDY = """version: 1
 name: attacked
@@ -64,9 +64,8 @@ def test_variants_attack_as_the_study_does_but_for_their_settings(folder):
     assert first.adversary.settings == {"period_s": 2.0}
     assert other.adversary.settings == {
         "period_s": 2.0,
-        "av_driver": "human",
-        "candidates": 16,
-        "likelihood_weight": 1e-6,
+        "goal": "hit",
+        "form": {"candidates": 16, "likelihood_weight": 1e-6},
     }
     assert other.source.recording == folder / "val"
     assert other.weights == str(folder / "val")

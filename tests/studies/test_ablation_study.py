@@ -63,7 +63,7 @@ class Work:
         (spec,) = specs
         adversary = spec.adversary.settings
         self.attacked.append(
-            (options.out, Path(spec.weights).name, spec.planner.name, adversary.get("candidates"))
+            (options.out, Path(spec.weights).name, spec.planner.name, adversary.get("form"))
         )
         assert options.resume
         return []
@@ -100,8 +100,8 @@ def test_sizes_are_trained_and_settings_are_not(plan, monkeypatch):
         ("base", "idm", None),
         ("raster-off", "replay", None),
         ("raster-off", "idm", None),
-        ("base", "replay", 16),
-        ("base", "idm", 16),
+        ("base", "replay", {"preset": "extended", "candidates": 16}),
+        ("base", "idm", {"preset": "extended", "candidates": 16}),
     ]
     assert [row[:2] for row in rows] == [
         ("base", "base"),

@@ -6,9 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-import yaml
 
-from deepmf_sumo import plugins
+from deepmf_sumo import plugins, spec
 from deepmf_sumo.results.risk.attacks import Attacked, Network
 from deepmf_sumo.results.risk.places import Spot, read
 from deepmf_sumo.sumo.network.sumo_net import read_net, waiting_ways
@@ -204,8 +203,11 @@ def test_a_study_builds_attacks_every_kind_with_every_seed_and_ranks(tmp_path, m
     ]
     assert set(STUDY.KINDS) == set(BUILD.KINDS)
     assert rank[-3:] == [str(tmp_path / "4"), str(tmp_path / "5"), "--flawed"]
-    settings = {key: yaml.safe_load(value) for key, value in STUDY.WISHES.items()}
-    assert plugins.settings("adversaries", "deepmf", settings).constraints == ("lawful",)
+    file = tmp_path / "spec.yaml"
+    file.write_text("{version: 3, name: hazards, source: {recording: .}}", encoding="utf-8")
+    choice = spec.load(file, [f"adversary.{key}={one}" for key, one in STUDY.WISHES.items()])
+    settings = plugins.settings("adversaries", "deepmf", choice.adversary.settings)
+    assert (settings.constraints, settings.form.reactions) == (("lawful",), 4)
 
 
 def test_a_study_ends_with_the_exit_code_of_what_went_wrong(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from typing import Any, Final
 from deepmf_sumo import plugins
 from deepmf_sumo.results.quantities import BY_NAME
 from deepmf_sumo.spec import DEFAULT_RULES, VERSIONS
+from deepmf_sumo.spec.profiles import published
 from deepmf_sumo.study.plans import tables
 from deepmf_sumo.study.plans.layout import PlanLayout, read_layout
 from deepmf_sumo.tables import read_csv
@@ -118,12 +119,12 @@ def _by_method(layout: PlanLayout, methods: Sequence[str]) -> dict[str, str]:
     return {label: rule for label, rule in found.items() if rule}
 
 
-def _rule(choice: str | dict[str, Any], default: str, published: bool) -> str:
+def _rule(choice: str | dict[str, Any], default: str, paper: bool) -> str:
     """The rule of a plan's method, or `_PUBLISHED`; empty where it is not DeepMF."""
     settings = {"name": choice} if isinstance(choice, str) else choice
     if settings.get("name", "deepmf") not in {"deepmf", *VERSIONS}:
         return ""
-    if published or settings.get("form") == "paper":
+    if paper or published(settings):
         return _PUBLISHED
     if settings.get("aggressiveness") is not None:
         return f"aggressiveness {settings['aggressiveness']:g}"

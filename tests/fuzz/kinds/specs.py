@@ -31,7 +31,7 @@ _SPEC = {
         "name": "deepmf",
         "version": "S1",
         "rule": "expected",
-        "reactions": 16,
+        "form": {"preset": "extended", "reactions": 16},
         "sector": "left",
         "goal": "hit",
         "constraints": ["fair", "on_road"],

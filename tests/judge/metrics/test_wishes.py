@@ -58,9 +58,9 @@ def test_share_of_plans_whose_wish_nobody_met():
     unmet = replace(met, reason=reason)
     assert met.reason.unmet == ()
     assert measured("unmet_wishes", [met, unmet, met, met]).value == 0.25
-    assert measured("unmet_wishes", [plan(fair=True)]).value in (0.0, 1.0)
+    assert measured("unmet_wishes", [plan(constraints=["fair"])]).value in (0.0, 1.0)
     # all that it could do is to ram the AV from behind
-    assert measured("unmet_wishes", [plan(lawful=True)]).value == 1.0
+    assert measured("unmet_wishes", [plan(constraints=["lawful"])]).value == 1.0
 
 
 @pytest.mark.parametrize("name", ["unmet_wishes", "wanted_sector_hit"])

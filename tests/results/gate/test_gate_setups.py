@@ -1,9 +1,12 @@
 """A verdict needs the same attack on both sides: whatever makes it, and whatever it is called."""
 
 import json
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.results import gate, run_sets, setups
 from deepmf_sumo.results.gate.thresholds import Thresholds
 from deepmf_sumo.results.gate.verdict import text, write_junit
@@ -236,6 +239,39 @@ def test_specs_of_versions_2_and_3_may_be_one_attack():
     ]
     first, second = map(setups.setup_of, rows)
     assert setups.differing(first, second) == set()
+
+
+EARLIER: dict[str, Any] = {
+    "version": None, "period_s": 1.0, "opponent": "argmax", "tried_opponents": None,
+    "rule": "likeliest", "likelihood_weight": 1.0, "comfort_weight": None, "candidates": 32,
+    "goal_candidates": 64, "shortlist": 32, "reactions": 16, "av_driver": None,
+    "conditional": True, "accel_mps2": 3.5, "brake_mps2": 5.0, "lateral_mps2": 3.5,
+    "keep_tail": False, "sector": None, "aggressiveness": None, "constraints": ["fair"],
+}  # fmt: skip
+"""What a result of version 0.1 records of DeepMF's settings."""
+
+
+@pytest.mark.parametrize("kept_in_a_file", [False, True])
+def test_settings_in_words_of_an_earlier_version_are_the_same_attack(tmp_path, kept_in_a_file):
+    choice = {"name": "deepmf", "rule": "likeliest", "constraints": ["fair"]}
+    today = Settings(rule="likeliest", constraints=["fair"]).model_dump(mode="json")
+    sides = []
+    for name, written in (("old", EARLIER), ("new", today)):
+        one = run(adversary=choice)
+        one["settings"]["adversary"] = written
+        out = gate_doubles.write_folder(tmp_path / name, [one])
+        sides.append(run_sets.read(out))
+    if kept_in_a_file:
+        setup = {f"adversary.{key}": value for key, value in EARLIER.items()}
+        [attack] = sides[1].attacks.values()
+        others = {key: one for key, one in attack.items() if not key.startswith("adversary.")}
+        [digest] = sides[0].attacks
+        file = tmp_path / "old.json"
+        run_sets.write(file, replace(sides[0], attacks={digest: others | setup}))
+        sides[0] = run_sets.read(file)
+    assert setups.differences(sides[1], sides[0]) == []
+    [old] = sides[0].attacks.values()
+    assert (old["adversary.form.reactions"], old["adversary.form.preset"]) == (16, "extended")
 
 
 def test_a_profile_is_no_part_of_a_search():

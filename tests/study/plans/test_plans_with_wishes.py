@@ -24,7 +24,7 @@ def saved(tmp_path, **values):
 
 
 def test_wishes_are_kept(tmp_path):
-    reason, arrays = saved(tmp_path, sector="rear", fair=True)
+    reason, arrays = saved(tmp_path, sector="rear", constraints=["fair"])
     assert arrays["00/wanted_sector"] == 4
     np.testing.assert_array_equal(arrays["00/sector"], reason.sector)
     assert ((arrays["00/sector"] == -1) == ~arrays["00/collides"]).all()

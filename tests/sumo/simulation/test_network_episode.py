@@ -197,7 +197,7 @@ def test_what_is_no_vehicle_on_roads_never_attacks(tmp_path, vehicle_class, kind
     of_class = f'<routes><vType id="kind" vClass="{vehicle_class}"/>'
     text = routes.read_text().replace("<routes>", of_class)
     routes.write_text(text.replace('id="leader"', 'id="leader" type="kind"'))
-    policy = deepmf(Settings(version="S1"), cached_predictors("open"))
+    policy = deepmf(Settings(period_s=1.0), cached_predictors("open"))
     rollout = run(network_case(config, 5.0, "av", 1), policy=policy)
     assert rollout.tracks.kinds[rollout.tracks.row("leader")] == kind
     assert rollout.opponent_id == ("leader" if kind == "vehicle" else None)

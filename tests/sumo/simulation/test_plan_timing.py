@@ -113,13 +113,13 @@ def beside(tmp_path_factory):
     return case_of(scene_of(straight_road(), motions), tmp_path_factory.mktemp("beside"))
 
 
-@pytest.mark.parametrize("version", ["G", "S4", "S1"])
+@pytest.mark.parametrize("period_s", [None, 4.0, 1.0])
 @pytest.mark.parametrize("rule", ["expected", "likeliest"])
 def test_with_the_avs_future_known_the_contact_comes_at_the_step_that_the_plan_says(
-    beside, version, rule
+    beside, period_s, rule
 ):
     predictors = Doubles(conditional=KnowsTheLog(beside.scene.tracks))
-    settings = Settings(version=version, rule=rule, reactions=1)
+    settings = Settings(period_s=period_s, rule=rule, form={"reactions": 1})
     policy = Watched(build(settings, predictors))
     planner = replay.build(replay.Settings())
     rollout = simulate(beside, planner, policy, rng=np.random.default_rng(0))

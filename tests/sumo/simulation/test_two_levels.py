@@ -109,8 +109,8 @@ def test_who_comes_down_the_ramp_meets_the_av_where_the_roads_join(config):
 WISHES = {
     "plain": {},
     "sector": {"sector": "left"},
-    "lawful": {"lawful": True},
-    "fair": {"fair": True},
+    "lawful": {"constraints": ["lawful"]},
+    "fair": {"constraints": ["fair"]},
 }
 
 
@@ -125,7 +125,7 @@ def test_an_attack_finds_no_hit_through_the_bridge(config, wish):
 
 def test_who_passes_over_the_way_of_the_av_is_not_chosen(config):
     """It is the nearest: what scores it best knows no heights."""
-    settings = Settings(tried_opponents=1)
+    settings = Settings(form={"tried_opponents": 1})
     _, rollout = run(config, BRIDGE_S, 5, build(settings, Doubles()))
     assert rollout.opponent_id == "leads"
     assert "over" in rollout.tracks.ids
