@@ -29,7 +29,7 @@ from deepmf_sumo.deepmf.opponent import softmax
 from deepmf_sumo.deepmf.scoring import Pairs
 from deepmf_sumo.deepmf.situation import Levels, Situation
 from deepmf_sumo.deepmf.tracking import Tracked
-from deepmf_sumo.judge.ladder import MOMENT_S
+from deepmf_sumo.judge.ladder import LAST_S, MOMENT_S, stood_or_crept
 from deepmf_sumo.scene import DT_S, Bools, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import boxes, frames, impact, road
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS
@@ -41,6 +41,7 @@ _COMFORT_STEPS = 30  # 3 s; most of what follows is planned again before it is d
 _ROAD_EVERY = 3
 _SECOND_STEPS = 10
 _MOMENT_STEPS = round(MOMENT_S / DT_S)
+_LAST_STEPS = round(LAST_S / DT_S)
 _LENGTHWISE_STEPS = round(2.0 / DT_S)
 _OFF_ROAD = 4.0  # m2/s5: a second off the road weighs as a mean acceleration of 2 m/s2
 
@@ -429,6 +430,25 @@ def off_front(
     return found
 
 
+def av_stands(situation: Situation, reactions: Sequence[Forecast], collision_step: Floats) -> Bools:
+    """(N1, N2) whether the AV, where it is met, stands or creeps in its last second (`ladder`).
+
+    What it has driven before now counts, too.
+    """
+    tracks, found = situation.view.history, np.zeros(collision_step.shape, bool)
+    row, mode = np.nonzero(collision_step < reactions[0].futures.position_m.shape[1])
+    av = tracks.row(situation.view.av_id)
+    past = np.where(tracks.valid[av], tracks.speed_mps[av], tracks.speed_mps[av, -1])
+    ahead = _stacked([each.futures.position_m for each in reactions])[row, mode]
+    begin = np.broadcast_to(tracks.position_m[av, -1], (len(row), 1, 2))
+    moved = np.diff(np.concatenate([begin, ahead], axis=1), axis=1)
+    driven = np.hypot(moved[..., 0], moved[..., 1]) / DT_S
+    speed = np.concatenate([np.broadcast_to(past, (len(row), len(past))), driven], axis=1)
+    last = collision_step[row, mode].astype(int)[:, None] + len(past) - 1 - np.arange(_LAST_STEPS)
+    found[row, mode] = stood_or_crept(np.take_along_axis(speed, np.maximum(last, 0), axis=1))
+    return found
+
+
 def delta_v(
     candidates: Futures,
     reactions: Sequence[Forecast],
@@ -495,6 +515,8 @@ def shortlisted(
         sizes = situation.size_m, situation.av_size_m
         ends = off_front if situation.person else rear_ends
         counted = counted & ~ends(own.forecast.futures, alike, *sizes, met.collision_step)
+        if situation.person:
+            counted &= ~av_stands(situation, alike, met.collision_step)
     if "on_road" in without:
         counted = counted & ~leaves_road(situation, own, met.collision_step.min(axis=1))[:, None]
     if "with_traffic" in without:

@@ -17,6 +17,7 @@ from deepmf_sumo.deepmf.candidates import (
     Candidates,
     References,
     against_traffic,
+    av_stands,
     leaves_road,
     off_front,
     rear_ends,
@@ -456,7 +457,8 @@ class NoRearEnd(Constraint):
     """The candidate does not drive into the AV's rear end from behind.
 
     A vehicle that follows can do so anywhere, so that it says little about the road. A person does
-    not run into its sides either: the AV's front meets it.
+    not run into its sides either: the AV's front meets it, while the AV drives. One that stands or
+    creeps can do nothing against who walks into it.
     """
 
     name = "no_rear_end"
@@ -472,6 +474,9 @@ class NoRearEnd(Constraint):
         behind = ends(own.forecast.futures, reactions, *sizes, pairs.collision_step)
         mass = (pairs.reaction_probability * behind).sum(axis=1)
         allowed: Bools = mass <= _BEHIND_SHARE * pairs.mass
+        if situation.person:
+            stands = av_stands(situation, reactions, pairs.collision_step)
+            allowed &= 2 * (pairs.reaction_probability * stands).sum(axis=1) <= pairs.mass
         return allowed
 
 

@@ -33,7 +33,7 @@ from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.collision import collision_clean
 from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
-from deepmf_sumo.scene import Floats, Ints, Rollout
+from deepmf_sumo.scene import Bools, Floats, Ints, Rollout
 from deepmf_sumo.scene.geometry import road
 from deepmf_sumo.scene.signals import FORBIDS
 
@@ -115,6 +115,14 @@ def verdict(episode: Episode) -> Verdict | None:
     )
 
 
+def stood_or_crept(speed_mps: Floats) -> Bools:
+    """(...) whether an AV with speeds (..., K) in its last second (`LAST_S`) stood or crept."""
+    slow: Bools = (speed_mps.max(axis=-1) < WALKING_MPS) | (
+        speed_mps.mean(axis=-1) * LAST_S < LEAST_M
+    )
+    return slow
+
+
 def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
     """What makes a hit say little about the AV.
 
@@ -134,8 +142,7 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
     - A supporter touched anybody: it was to take ways out from the AV by its place alone.
     """
     rollout, meeting = episode.rollout, hit.meeting
-    last = _speeds(rollout, meeting.av, meeting.step, LAST_S)
-    if last.max() < WALKING_MPS or last.mean() * LAST_S < LEAST_M:
+    if stood_or_crept(_speeds(rollout, meeting.av, meeting.step, LAST_S)):
         yield "av_stood"
     if is_person(rollout.tracks, meeting.other):
         yield from people.contrived(episode, hit)

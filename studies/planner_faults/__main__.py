@@ -12,6 +12,7 @@ from studies.planner_faults import measure
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import FROZEN, frozen_text, halves
 from studies.planner_faults.own_causes import first_cause
+from studies.planner_faults.people import FAULTS as OF_PEOPLE
 
 
 def _list() -> int:
@@ -19,6 +20,8 @@ def _list() -> int:
     print(f"{'name':19} {'half':9} what is wrong")
     for name, fault in FAULTS.items():
         print(f"{name:19} {half[name]:9} {fault.about}")
+    for name, fault in OF_PEOPLE.items():
+        print(f"{name:21} {'of people':9} {fault.about}")
     return 0
 
 
@@ -51,7 +54,8 @@ def _parser() -> argparse.ArgumentParser:
         "folders", type=Path, nargs="+", help="result folders; those of faults are named by them"
     )
     run = commands.add_parser("measure", help="which faults the gate reports for one method")
-    run.add_argument("--method", default="deepmf", help="an adversary as in a spec, in YAML")
+    run.add_argument("--people", action="store_true", help="faults of people, in suite/people")
+    run.add_argument("--method", help="an adversary as in a spec, in YAML; default: deepmf")
     run.add_argument("--budget", type=int, help="simulations of an attack")
     run.add_argument("--moments", type=int, help="of each spec that chooses moments")
     run.add_argument("--jobs", type=int, default=1)
@@ -64,7 +68,9 @@ def _parser() -> argparse.ArgumentParser:
         "--later-seeds", type=int, nargs="*", default=[],
         help="added for planners that the first seeds do not report",
     )  # fmt: skip
-    run.add_argument("--faults", nargs="+", choices=("all", *FAULTS), help="default: the open half")
+    run.add_argument(
+        "--faults", nargs="+", choices=("all", *FAULTS, *OF_PEOPLE), help="default: the open half"
+    )
     run.add_argument(
         "--specs", type=Path, nargs="+", help="default: moments of the packaged networks"
     )

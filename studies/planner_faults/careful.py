@@ -120,7 +120,7 @@ class _Sight:
 class Careful:
     """See the module."""
 
-    Settings = Settings
+    Settings: type[Settings] = Settings
 
     @classmethod
     def build(cls, settings: Settings) -> "Careful":

@@ -8,7 +8,7 @@ it commands (`Commanded`). In a spec::
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from pydantic import field_validator
@@ -324,27 +324,29 @@ def _bearing(seen: Others) -> Floats:
 
 
 class Settings(PluginSettings):
-    """``fault``: a name of `FAULTS`, or ``none`` for the careful planner itself.
+    """``fault``: a name of `faults`, or ``none`` for the careful planner itself.
 
     ``unguarded``: by its own IDM wherever SUMO may react to others, as copies with a fault of what
     they see are there: the control, which has no fault.
     """
 
+    faults: ClassVar[Mapping[str, Fault]] = FAULTS
     fault: str = "none"
     unguarded: bool = False
 
     @field_validator("fault")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name != "none" and name not in FAULTS:
-            raise ValueError(f"there is no fault '{name}'.{nearest(name, FAULTS)}")
+        if name != "none" and name not in cls.faults:
+            raise ValueError(f"there is no fault '{name}'.{nearest(name, cls.faults)}")
         return name
 
 
 class Faulty:
     """The careful planner with one fault."""
 
-    Settings = Settings
+    Settings: type[Settings] = Settings
+    planner: ClassVar[type[careful.Careful]] = careful.Careful
 
     @classmethod
     def build(cls, settings: Settings) -> "Faulty":
@@ -353,8 +355,8 @@ class Faulty:
 
     def __init__(self, settings: Settings) -> None:
         control = Fault(about="", unguarded=settings.unguarded)
-        self._fault = FAULTS.get(settings.fault, control)
-        self._planner = careful.Careful(careful.Settings(**self._fault.settings))
+        self._fault = settings.faults.get(settings.fault, control)
+        self._planner = self.planner(self.planner.Settings(**self._fault.settings))
         self._episode = Episode(0.0)
 
     @property

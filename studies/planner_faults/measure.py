@@ -33,10 +33,16 @@ from deepmf_sumo.tables import to_markdown
 from studies.planner_faults.faults import FAULTS
 from studies.planner_faults.halves import halves
 from studies.planner_faults.own_causes import First, first_cause
+from studies.planner_faults.people import FAULTS as OF_PEOPLE
 
 SUITE: Final = Path(__file__).resolve().parents[2] / "suite"
-"""Moments of the packaged networks' traffic: each is a situation of its own for the gate."""
+"""Moments of the packaged networks' traffic: each is a situation of its own for the gate.
+
+Its subfolder ``people`` is for faults of people.
+"""
 FAULTY: Final = "studies.planner_faults.faults:Faulty"
+FAULTY_WITH_PEOPLE: Final = "studies.planner_faults.people:FaultyWithPeople"
+BY_PEOPLE: Final = "{name: deepmf, attackers: people}"
 CONTROL: Final = "careful by its own IDM"
 
 
@@ -52,6 +58,7 @@ class Asked:
         later_seeds: of planners that are not reported with the first ``seeds``, added to these.
         other_seeds: of the runs for false alarms, one set each.
         thresholds: a file of `check`; None judges what `check` judges by itself.
+        planner: the copies; with the setting ``fault: none`` it has none.
     """
 
     method: str
@@ -65,24 +72,28 @@ class Asked:
     specs: tuple[Path, ...]
     thresholds: Path | None
     out: Path
+    planner: str = FAULTY
 
     @classmethod
     def of(cls, given: argparse.Namespace) -> Self:
         """Of the command line."""
+        known = OF_PEOPLE if given.people else FAULTS
         half = halves(FAULTS)
-        chosen = given.faults or [name for name in FAULTS if half[name] == "open"]
+        chosen = given.faults or [name for name in known if half.get(name) != "held out"]
+        suite = SUITE / "people" if given.people else SUITE
         return cls(
-            method=given.method,
+            method=given.method or (BY_PEOPLE if given.people else "deepmf"),
             budget=given.budget,
             moments=given.moments,
             jobs=given.jobs,
             seeds=tuple(given.seeds),
             later_seeds=tuple(given.later_seeds),
             other_seeds=tuple(given.false_alarms),
-            faults=tuple(FAULTS) if chosen == ["all"] else tuple(chosen),
-            specs=tuple(given.specs or sorted(SUITE.glob("*.yaml"))),
+            faults=tuple(known) if chosen == ["all"] else tuple(chosen),
+            specs=tuple(given.specs or sorted(suite.glob("*.yaml"))),
             thresholds=given.thresholds,
             out=given.out,
+            planner=FAULTY_WITH_PEOPLE if given.people else FAULTY,
         )
 
 
@@ -175,10 +186,13 @@ def table(lines: Sequence[Line]) -> str:
     """A Markdown table with a line a planner, and how many of each kind the gate reports."""
     half = halves(FAULTS)
     rows = to_markdown(HEAD, [_cells(one) for one in lines])
-    copies = [one for one in lines if one.planner in half]
+    copies = {one.planner: half.get(one.planner, "of people") for one in lines
+              if one.planner in half or one.planner in OF_PEOPLE}  # fmt: skip
     rows.append("")
-    for kind in ("open", "held out"):
-        of = [one for one in copies if half[one.planner] == kind]
+    for kind in ("open", "held out", "of people"):
+        of = [one for one in lines if copies.get(one.planner) == kind]
+        if not of:
+            continue
         first = sum(bool(one.first.by) for one in of)
         all_seeds = sum(_reported(one) for one in of)
         causes = sum(bool(one.cause and one.cause.own) for one in of)
@@ -244,7 +258,7 @@ def spec_of(
     if "opponent" in before and adversary.get("name", "deepmf") == "deepmf":
         adversary.setdefault("opponent", before["opponent"])
     sets = [
-        f"planner={yaml.safe_dump({'name': FAULTY, **settings}, default_flow_style=True)}",
+        f"planner={yaml.safe_dump({'name': asked.planner, **settings}, default_flow_style=True)}",
         f"adversary={yaml.safe_dump(adversary, default_flow_style=True)}",
         "expect={}",
     ]

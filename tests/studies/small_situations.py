@@ -135,7 +135,7 @@ def _view(situation, past, step, line, along, road_map):
     unit = np.stack([np.cos(state[..., 2]), np.sin(state[..., 2])], -1)
     tracks = Tracks(
         ids=("av", *situation.others),
-        kinds=tuple("pedestrian" if size[0] < 1 else "vehicle" for size in sizes),
+        kinds=tuple(_kind(size[0]) for size in sizes),
         size_m=np.array(sizes),
         position_m=state[..., :2],
         z_m=np.zeros(state.shape[:2]),
@@ -178,3 +178,7 @@ __all__ = [
     "BEND", "CAR", "PERSON", "TRUCK", "YELLOW", "Driven", "Situation", "braking", "cutting_in",
     "drive", "road", "steady", "still",
 ]  # fmt: skip
+
+
+def _kind(length_m):
+    return "pedestrian" if length_m < 1 else "cyclist" if length_m < 2 else "vehicle"
