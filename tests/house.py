@@ -1,14 +1,26 @@
 """Marks of the package's structure: ``python -m tests.house``."""
 
 import ast
+import sys
+import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
+from types import FrameType
 
 import click
+import numpy as np
 
 from deepmf_sumo import plugins
 from deepmf_sumo.cli import main
+from deepmf_sumo.deepmf import policy
+from deepmf_sumo.deepmf.networks import weights
+from deepmf_sumo.planners import idm
+from deepmf_sumo.scene import AgentId, Plan, View
+from deepmf_sumo.sumo.simulation import simulate
+
+from tests.support import simulated_worlds as worlds
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "deepmf_sumo"
@@ -60,6 +72,52 @@ def _signatures() -> Iterator[tuple[str, int, int]]:
                 yield name, count + (0 if name in PUBLIC else options), options
 
 
+def importers() -> dict[str, set[str]]:
+    """The modules that import each module, of the package itself."""
+    names = {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in sources()}
+    found: dict[str, set[str]] = {name.removesuffix(".__init__"): set() for name in names}
+    for name, file in names.items():
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                inner = [f"{node.module}.{one.name}" for one in node.names]
+                for module in {one if one in found else node.module for one in inner} & set(found):
+                    found[module].add(name.removesuffix(".__init__"))
+    return found
+
+
+def way_of_a_plan() -> list[tuple[str, str]]:
+    """File and name of the functions that a plan of DeepMF enters, each once, in order."""
+    road = worlds.straight_road()
+    motions = {
+        "av": worlds.straight_motion(50.0, 0.0, 0.0, 10.0),
+        "b": worlds.straight_motion(45.0, 3.2, 0.0, 12.0),
+        "c": worlds.straight_motion(90.0, 0.0, 0.0, 10.0),
+    }
+    entered: dict[tuple[str, str], None] = {}
+
+    def enter(frame: FrameType, event: str, _: object) -> None:
+        file, name = Path(frame.f_code.co_filename), frame.f_code.co_name
+        if event == "call" and file.is_relative_to(PACKAGE) and not name.startswith("<"):
+            entered.setdefault((str(file.relative_to(PACKAGE)), name))
+
+    class Traced(policy.DeepMF):
+        """A policy whose plans are traced."""
+
+        def plan(self, view: View) -> Mapping[AgentId, Plan]:
+            sys.setprofile(enter)
+            try:
+                return super().plan(view)
+            finally:
+                sys.setprofile(None)
+
+    with tempfile.TemporaryDirectory() as folder:
+        case = worlds.case_of(worlds.scene_of(road, motions), Path(folder), steps=12)
+        settings = policy.Settings(opponent="b", period_s=None)
+        attacker = Traced(settings, weights.cached_predictors("open"))
+        simulate(case, idm.build(idm.Settings()), attacker, rng=np.random.default_rng(0))
+    return list(entered)
+
+
 def lines() -> dict[str, int]:
     """Lines of each room, and of ``tests``."""
     found: Counter[str] = Counter()
@@ -105,6 +163,12 @@ def show() -> None:
     for each in long_signatures():
         print("   ", each)
     print("options of what users call:", public_options())
+    by_importer, way = importers(), way_of_a_plan()
+    alone = sum(len(one) == 1 for one in by_importer.values())
+    print("modules that one other module imports:", alone, "of", len(by_importer))
+    files = [file for file, _ in way]
+    changes = 1 + sum(one != other for one, other in pairwise(files))
+    print("a plan enters functions:", len(way), "files:", len(set(files)), "changes:", changes)
     print("options of all commands:", sum(by_command.values()), "most:", max(by_command.values()))
     keys = settings("deepmf")
     print("settings of deepmf:", len(keys), "and in its mappings:", sum(keys.values()))

@@ -5,6 +5,7 @@ among candidates Y_OV. `DeepMF._plan` is the whole of it: generate candidates, p
 reactions, collide all pairs, apply the constraints, choose.
 """
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -23,7 +24,7 @@ from deepmf_sumo.deepmf.opponent import ByClass, choose, highest, tried
 from deepmf_sumo.deepmf.reference_paths import OwnPath, goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
-from deepmf_sumo.deepmf.situation import Situation, Stopwatch
+from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import track
 from deepmf_sumo.scene import (
     FUTURE_STEPS,
@@ -90,6 +91,26 @@ class _Av:
 
     prediction: ConditionalPrediction
     unattacked: Forecast | None
+
+
+class Stopwatch:
+    """Wall time by part."""
+
+    def __init__(self) -> None:
+        self._since = time.perf_counter()
+        self.milliseconds: dict[str, float] = {}
+
+    def lap(self, part: str) -> None:
+        """Add the time since the last call to a part."""
+        now = time.perf_counter()
+        spent = 1000 * (now - self._since)
+        self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent
+        self._since = now
+
+    @property
+    def seconds(self) -> float:
+        """Sum of all laps."""
+        return sum(self.milliseconds.values()) / 1000
 
 
 class DeepMF:

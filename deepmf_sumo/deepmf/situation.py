@@ -1,6 +1,5 @@
 """Input of a plan: the present, the opponent, and the future of the unattacked AV."""
 
-import time
 from dataclasses import dataclass
 from typing import Self
 
@@ -186,23 +185,3 @@ class Levels:
         start = np.broadcast_to(now[:2], (len(futures_m), 1, 2))
         paths = np.concatenate([start, futures_m], axis=1)
         return self.ground.follow(paths, np.full(len(paths), now[2]))[:, 1:]
-
-
-class Stopwatch:
-    """Wall time by part."""
-
-    def __init__(self) -> None:
-        self._since = time.perf_counter()
-        self.milliseconds: dict[str, float] = {}
-
-    def lap(self, part: str) -> None:
-        """Add the time since the last call to a part."""
-        now = time.perf_counter()
-        spent = 1000 * (now - self._since)
-        self.milliseconds[part] = self.milliseconds.get(part, 0.0) + spent
-        self._since = now
-
-    @property
-    def seconds(self) -> float:
-        """Sum of all laps."""
-        return sum(self.milliseconds.values()) / 1000
