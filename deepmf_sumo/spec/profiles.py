@@ -183,32 +183,24 @@ def _profiled(choice: dict[str, Any], name: ProfileName) -> dict[str, Any]:
 def _instead(choice: Mapping[str, Any], key: str, profile: Profile) -> str:
     """What version 3 has in place of a key of an earlier version; empty of others."""
     value = choice[key]
+    listed = choice.get("constraints", left_open(profile.constraints, choice))
+    others = {*listed} if _are_names(listed) else set()
     if key in _SWITCHES:
-        meant = [key] if value is True else []
-        named = [name for name in PROFILES if name in meant]
-        profiles = f", or profile: {named[0]}" if named else ""
-        return (
-            f"version 3 lists all constraints: {_listing(choice, {key}, meant, profile)}" + profiles
-        )
+        meant = others | {key} if value is True else others - {key}
+        named = f", or profile: {key}" if value is True and key in PROFILES else ""
+        return f"version 3 lists all constraints: write {_stated(meant)}{named}"
     if key == "goal" and value == _EARLIER_GOAL:
-        return f"write goal: {GOAL}, and {_listing(choice, set(), ['clean', 'fair'], profile)}"
+        return f"write goal: {GOAL} and {_stated(others | {'clean', 'fair'})}"
     if key == "sector" and _is_number(value):
         return f"write adversary.sector: {SECTORS[value]}"
     if key in _GONE:
         return "leave it out: nothing takes its place"
-    return (
-        f"write adversary.form: {{{key}: {json.dumps(value, default=str)}}}"
-        if key in _IN_FORM
-        else ""
-    )
+    number = f"{{{key}: {json.dumps(value, default=str)}}}"
+    return f"write adversary.form: {number}" if key in _IN_FORM else ""
 
 
-def _listing(
-    choice: Mapping[str, Any], without: set[str], meant: Iterable[str], profile: Profile
-) -> str:
-    listed = choice.get("constraints", left_open(profile.constraints, choice))
-    others = {*listed} - without if _are_names(listed) else set()
-    return f"write adversary.constraints: [{', '.join(sorted(others | {*meant}))}]"
+def _stated(constraints: Iterable[str]) -> str:
+    return f"adversary.constraints: [{', '.join(sorted(constraints))}]"
 
 
 def _is_number(sector: Any) -> bool:

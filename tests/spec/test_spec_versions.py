@@ -171,7 +171,7 @@ def test_words_of_versions_1_and_2_keep_their_meaning(write, earlier):
         ("reactions: 1", "is of versions 1 and 2; write adversary.form: {reactions: 1}."),
         ("shortlist: null", "is of versions 1 and 2; write adversary.form: {shortlist: null}."),
         ("sector: 7", "is of versions 1 and 2; write adversary.sector: front_right."),
-        ("goal: avoidable", "write goal: finding, and write adversary.constraints: [clean, fair]."),
+        ("goal: avoidable", "write goal: finding and adversary.constraints: [clean, fair]."),
         ("keep_tail: true", "is of versions 1 and 2; leave it out: nothing takes its place."),
     ],
 )  # fmt: skip
