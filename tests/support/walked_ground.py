@@ -54,7 +54,8 @@ def off_ground(rollout: Rollout, road: RoadMap) -> Iterator[str]:
 
 def ground(road: RoadMap, around: shapely.Geometry) -> shapely.Geometry:
     """The ground near a place."""
-    seen = shapely.box(*shapely.buffer(around, SEEN_M).bounds)
+    left, low, right, high = around.bounds
+    seen = shapely.box(left - SEEN_M, low - SEEN_M, right + SEEN_M, high + SEEN_M)
     lanes = [
         shapely.LineString(one.centre_m).buffer((one.width_m or 3.7) / 2)
         for one in road.lanes.values()

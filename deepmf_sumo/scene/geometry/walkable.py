@@ -61,18 +61,23 @@ class Walkable:
         self._lanes, self._levels = all_lanes(road), ground_of(road).has_levels
         self._areas = _Areas((*road.polygons, *(road.footways or ())))
         self._barred = _Areas((*road.buildings, *road.water))
-        lines = [shapely.LineString(one.points_m) for one in road.edges if len(one.points_m) > 1]
-        self._edges = shapely.STRtree(lines)
-        self._edge_z_m = np.array([self._height_m(line) for line in lines])
+        lines = [one.points_m for one in road.edges if len(one.points_m) > 1]
+        row = np.repeat(np.arange(len(lines)), [len(one) for one in lines])
+        points = np.concatenate([np.empty((0, 2)), *lines])
+        edges = np.asarray(shapely.linestrings(points, indices=row))
+        self._edges = shapely.STRtree(edges)
+        self._edge_z_m = self._heights_m(edges) if self._levels else np.zeros(len(edges))
 
-    def _height_m(self, edge: shapely.LineString) -> float:
-        """Of the lane beside an edge: outlines of junctions have no heights of their own."""
-        if not self._levels:
-            return 0.0
-        middle = shapely.get_coordinates(edge.interpolate(0.5, normalized=True))
-        feet = self._lanes.feet(middle, self.beside_m + self._lanes.widest_m)
-        away = np.hypot(*feet.away_m.T)
-        return float(self._lanes.heights_m(feet)[away.argmin()]) if len(away) else np.nan
+    def _heights_m(self, edges: NDArray[Any]) -> Floats:
+        """(N) of lanes beside edges; nan without. Outlines of junctions have no own heights."""
+        middles = shapely.get_coordinates(
+            shapely.line_interpolate_point(edges, 0.5, normalized=True)
+        )
+        feet = self._lanes.feet(middles, self.beside_m + self._lanes.widest_m)
+        order = np.argsort(-np.hypot(*feet.away_m.T), kind="stable")
+        found = np.full(len(edges), np.nan)
+        found[feet.point[order]] = self._lanes.heights_m(feet)[order]  # the nearest comes last
+        return found
 
     def barred(self, points_m: Floats) -> Bools:
         """(N) whether points (N, 2) are inside a building or in water, or at a wall."""
