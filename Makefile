@@ -26,7 +26,12 @@ run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 quick: $(READY)  ## the tests that start no program, not even SUMO: a minute and a half
 	$(PYTEST) -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
 
-test: $(READY) lint types  ## lint, types, import contracts and the tests
+test: $(READY)  ## lint, types, import contracts and the tests, beside each other
+	$(MAKE) --no-print-directory -j 2 lint-and-types tests
+
+lint-and-types: lint types
+
+tests: $(READY)
 	$(PYTEST) -q -n 3 --dist worksteal -m "not slow"
 
 test-slow: $(READY)  ## the tests that take minutes, those on a Ray cluster of this machine included
@@ -146,4 +151,4 @@ gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
 	$(PY) -m tests.docs.front_page
 
-.PHONY: help setup run quick test test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery
+.PHONY: help setup run quick test tests lint-and-types test-slow golden fuzz signals lint types protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery

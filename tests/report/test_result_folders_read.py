@@ -30,14 +30,14 @@ def test_no_runs_are_no_damage(tmp_path):
 
 
 @pytest.mark.parametrize("read", [stored.rows_of, figures.draw_all, page.write])
-@pytest.mark.parametrize("length", range(1, len(WHOLE)))
-def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, length, read):
+def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, read):
     """But for ends of rows, where what is left is a table of fewer runs."""
-    text = WHOLE[:length]
-    if text.count('"') % 2 == 0 and text.endswith("\n"):
-        return
-    with pytest.raises(UsageError, match=r"runs\.csv is (cut short|damaged).*--resume"):
-        read(written(tmp_path, text))
+    for length in range(1, len(WHOLE), 1 if read is stored.rows_of else 40):
+        text = WHOLE[:length]
+        if text.count('"') % 2 == 0 and text.endswith("\n"):
+            continue
+        with pytest.raises(UsageError, match=r"runs\.csv is (cut short|damaged).*--resume"):
+            read(written(tmp_path, text))
 
 
 def test_so_it_is_by_table_too(tmp_path):
