@@ -49,11 +49,11 @@ def states(old, new):
 def test_equal_planners_hardly_ever_alarm():
     """Each job compares eight numbers of 20 moments; 5 % may alarm, in either direction."""
     rng, alarms = np.random.default_rng(3), 0
-    for _ in range(50):
+    for _ in range(25):
         moments = rng.exponential(1.0, 20)
         found = states(drawn(rng, moments), drawn(rng, moments))
         alarms += bool(ALARMS & set(found.values()))
-    assert alarms < 3
+    assert alarms < 2
 
 
 def test_a_worse_planner_is_found_by_many_small_changes():
