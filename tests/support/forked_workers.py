@@ -8,9 +8,12 @@ test has patched. Tests of the workers themselves ask for the fixture `spawned_w
 
 import multiprocessing
 import os
+import sys
+from collections.abc import Sequence
 from multiprocessing import forkserver, reduction
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,6 +59,35 @@ class _Process(ForkServerProcess):
 
 def _begin(_: None, serve: Any, theirs: Connection, work: Any, parent: int) -> None:
     serve(theirs, work, os.getppid())  # of the process that it is a copy of
+
+
+def program(text: str, arguments: Sequence[str], folder: Path) -> str:
+    """What a Python program prints that runs in such a process, in a folder; its errors, too.
+
+    As ``python -c``, but the libraries are loaded already. Raises AssertionError if it fails.
+    """
+    started_programs.refuse("a program")
+    output = folder / f"output-{os.getpid()}.txt"
+    process = ForkServerProcess(
+        target=_program, args=(_Surroundings(), text, list(arguments), folder, output)
+    )
+    forkserver.set_forkserver_preload(LOADED)
+    process.start()
+    process.join()
+    said = output.read_text("utf-8")
+    assert process.exitcode == 0, said
+    return said
+
+
+def _program(_: None, text: str, arguments: list[str], folder: Path, output: Path) -> None:
+    with output.open("wb") as file:
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
+    os.chdir(folder)
+    os.environ.update(workers.SINGLE_THREAD)
+    sys.path.insert(0, "")
+    sys.argv = ["-c", *arguments]
+    exec(compile(text, "<program>", "exec"), {"__name__": "__main__"})
 
 
 def use(patch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from deepmf_sumo import spec
 from deepmf_sumo.spec import tasks
 from deepmf_sumo.study.sweep import batch, fork, workers
 
-from tests.support import same_bytes, tiny_network
+from tests.support import forked_workers, same_bytes, tiny_network
 
 pytestmark = pytest.mark.sumo
 
@@ -99,12 +99,7 @@ def paths(tiny):
 
 def done(runs, paths, folder):
     """Numbers of runs in copies, and of SUMO held for one, in a process of its own."""
-    command = [sys.executable, "-c", COUNTED, str(runs), *map(str, paths)]
-    env = {**os.environ, **workers.SINGLE_THREAD}  # as a worker has it
-    found = subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, check=False
-    )
-    assert found.returncode == 0, found.stderr
+    forked_workers.program(COUNTED, [str(runs), *map(str, paths)], folder)
     noted = runs.parent / "noted.txt"
     words = noted.read_text().split() if noted.exists() else []
     return words.count("copy"), words.count("hold")
@@ -145,15 +140,8 @@ def test_sumo_is_held_with_the_vehicle_model_of_the_coming_run(tiny, paths, tmp_
         "    return begun(arguments, backend, runs_already=runs_already, **more)\n"
         "sumo_config.running = noted\nplanned =",
     )
-    command = [
-        sys.executable,
-        "-c",
-        watched,
-        str(tmp_path / "runs"),
-        *map(str, [*sumo, failing, *idm]),
-    ]
-    env = {**os.environ, **workers.SINGLE_THREAD}
-    subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    specs = [*sumo, failing, *idm]
+    forked_workers.program(watched, [str(tmp_path / "runs"), *map(str, specs)], tiny)
     # the first of a passage runs by itself, the others from SUMO as it is held
     assert used.read_text().split() == [
         "anew",
@@ -268,7 +256,7 @@ def test_sumo_is_started_in_copies_alone(tiny, tmp_path):
         "def noted(arguments, backend='libsumo', *, runs_already=False, **more):\n"
         f"    runs_already or open({str(started)!r}, 'a').write(f'{{os.getpid()}} ')\n"
         "    return running(arguments, backend, runs_already=runs_already, **more)\n"
-        "sumo_config.running = noted\nprint(os.getpid())\nplanned =",
+        "sumo_config.running = noted\nprint(os.getpid(), flush=True)\nplanned =",
     )
     source = "{{network: tiny.sumocfg, start_s: {}, av: {{vehicle: av}}}}"
     specs = [  # each is a passage of its own, for time does not go back
@@ -278,12 +266,11 @@ def test_sumo_is_started_in_copies_alone(tiny, tmp_path):
         )
         for planner, start in (("idm", 3.0), ("idm", 2.0), ("sumo", 3.0), ("idm", 3.5))
     ]  # fmt: skip
-    command = [sys.executable, "-c", watched, str(tmp_path / "out" / "runs"), *map(str, specs)]
-    env = {**os.environ, **workers.SINGLE_THREAD}
-    worker = subprocess.run(command, cwd=tiny, env=env, stdout=subprocess.PIPE, check=True).stdout
+    out = str(tmp_path / "out" / "runs")
+    said = forked_workers.program(watched, [out, *map(str, specs)], tiny)
     processes = started.read_text().split()
     assert len(processes) == len(set(processes)) == 4  # one SUMO each
-    assert worker.decode().strip() not in processes
+    assert said.split()[0] not in processes  # the worker's
 
 
 def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp_path):
@@ -308,11 +295,9 @@ def test_episodes_of_one_run_begin_from_one_sumo_and_do_what_others_do(tiny, tmp
     here = COUNTED.replace(
         "planned =", "fork.tried = lambda task, simulate, case: simulate()\nplanned ="
     )
-    env = {**os.environ, **workers.SINGLE_THREAD}
     for program, name in ((watched, "copies"), (here, "one process")):
         out = tmp_path / name / "runs"
-        command = [sys.executable, "-c", program, str(out), *map(str, specs)]
-        subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+        forked_workers.program(program, [str(out), *map(str, specs)], tiny)
     # an episode without attack comes first, and tells the vehicle model; then SUMO is held
     assert started.read_text().split() == ["anew", "anew", *["held"] * 5, "anew", *["held"] * 6]
     assert same_bytes.same(tmp_path / "copies" / "runs", tmp_path / "one process" / "runs")
@@ -330,7 +315,6 @@ def test_the_index_of_the_road_is_made_once_for_all_runs(tiny, paths, tmp_path):
         "lanes._pixels = noted\nplanned =",
     )
     specs = paths(adversary="{name: deepmf, version: S1, opponent: leader}")
-    command = [sys.executable, "-c", watched, str(tmp_path / "out" / "runs"), *map(str, specs)]
-    env = {**os.environ, **workers.SINGLE_THREAD}
-    subprocess.run(command, cwd=tiny, env=env, capture_output=True, check=True)
+    out = str(tmp_path / "out" / "runs")
+    forked_workers.program(watched, [out, *map(str, specs)], tiny)
     assert made.read_text().split() == ["made"]
