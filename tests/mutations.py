@@ -184,7 +184,7 @@ MUTATIONS = (
     Mutation(
         "bridges share places with roads", "judge/metrics/conflict.py",
         "shared &= ~clear(tracks.z_m[av, mine, None], tracks.z_m[row, theirs])", "pass",
-        "judge/metrics/test_conflict_metrics.py test_levels_of_roads.py",
+        "sumo/simulation/test_two_levels.py",
     ),
     Mutation(
         "cut-ins are rear-ends", "judge/conflict_types.py",
@@ -194,7 +194,7 @@ MUTATIONS = (
     Mutation(
         "overlaps at hand-overs are contacts", "sumo/simulation/contacts.py",
         'return None if owners[0] == owners[1] else "overlap_at_hand_over"', "return None",
-        "sumo/simulation/test_contacts.py sumo/simulation/test_overlaps.py",
+        "sumo/simulation/test_hand_over.py",
     ),
     Mutation(
         "the slower one strikes", "sumo/simulation/contacts.py",
@@ -211,13 +211,13 @@ MUTATIONS = (
         "SUMO takes what is askew", "sumo/simulation/vehicle_control.py",
         "if abs(float(frames.difference(along, taken.pose.heading_rad))) > _ASKEW_RAD:",
         "if False:",
-        "sumo/simulation/test_hand_over.py",
+        "sumo/simulation/test_takeover_gone.py sumo/simulation/test_vehicles_at_walking_areas.py "
+        "sumo/simulation/test_cyclists_taken_over.py sumo/simulation/test_opponents_in_turn.py",
     ),
     Mutation(
         "the way back to the route is forgotten", "sumo/simulation/vehicle_control.py",
         "            self._restore_route(step, taken)\n", "",
-        "sumo/simulation/test_hand_over.py sumo/simulation/test_takeover_gone.py "
-        "sumo/simulation/test_network_episode.py",
+        "sumo/simulation/test_cyclists_taken_over.py sumo/simulation/test_opponents_in_turn.py",
     ),
     Mutation(
         "a plan a step late", "sumo/simulation/attack_schedule.py",

@@ -42,6 +42,22 @@ def test_against_polygons():
     assert 5 < collides.sum() < 24
 
 
+def test_corners_reach_farther_than_bumpers():
+    """Two cars, a diagonal of each on one line: 5.1 m apart, each reaches 2.6 m on it."""
+    size = np.array([4.8, 2.0])
+    along = -np.arctan2(2.0, 4.8)
+    own, av = (
+        Futures(
+            agent_id="b",
+            position_m=np.full((1, 5, 2), [x, 0.0]),
+            heading_rad=np.full((1, 5), along),
+        )
+        for x in (0.0, 5.1)
+    )
+    collides, _ = collisions(own, [Forecast(futures=av, probability=np.ones(1))], size, size, 5)
+    assert collides.all()
+
+
 def test_one_reaction_to_all_candidates():
     rng = np.random.default_rng(2)
     own, size = wander(rng, 12, 30, 7), np.array([4.8, 2.0])

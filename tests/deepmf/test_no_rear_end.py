@@ -35,6 +35,7 @@ def straight(x, y, heading, speed, steps=30):
         ((-1, 2.6, -0.15, 10.5), False),  # a neighbour that comes over
         ((-9, -4.0, 0.35, 16.0), True),  # from the next lane into the rear end
         ((40, 0.0, np.pi, 10.0), False),  # oncoming
+        ((-6.3, -11.5, 0.9, 20.0), False),  # out of a side street, into the rear end askew
     ],
 )
 def test_a_ram_is_an_impact_on_the_rear_end_in_the_same_direction(opponent, expected):

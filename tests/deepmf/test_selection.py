@@ -80,6 +80,23 @@ def test_ties_go_to_the_earlier_collision_then_the_likelier_then_the_first():
     uneven = np.array([0.2, 0.3, 0.5])
     same = choose(uneven, reaction, collides, np.full((3, 1), 4.0), "expected", 0.0)
     assert same.index == 2
+    earlier = choose(uneven[::-1], reaction, collides, step, "expected", 0.0)
+    assert earlier.index == 1
+
+
+def test_severity_is_the_mean_over_the_reactions_that_collide():
+    """4 m/s in the 60 % that collide is more severe than 3 m/s in all."""
+    pairs = Pairs(
+        probability=np.array([0.5, 0.5]),
+        reaction_probability=np.array([[1.0, 0.0], [0.6, 0.4]]),
+        collides=np.array([[True, False], [True, False]]),
+        collision_step=np.array([[20.0, 80.0], [20.0, 80.0]]),
+        severity=np.array([[3.0, 0.0], [4.0, 0.0]]),
+    )
+    balance = scoring.Balance(mass_share=0.5, severity_share=1.0)
+    choice = scoring.choose(pairs, Objective(balance))
+    assert choice.index == 1
+    np.testing.assert_allclose(choice.value, [3.0, 4.0])
 
 
 def test_drawn_candidates_are_of_all_kinds_and_mostly_such_that_collide():

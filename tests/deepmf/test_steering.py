@@ -17,6 +17,7 @@ from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.errors import PluginError
+from deepmf_sumo.scene import Forecast, Futures
 from deepmf_sumo.scene.geometry import impact
 from deepmf_sumo.scene.road_users import MotionLimits
 
@@ -253,6 +254,22 @@ def test_sectors_of_pairs_are_those_of_the_first_overlap():
         )
         moved = [one[at] - one[at - 1] for one in (theirs.position_m[k], ours.position_m[j])]
         assert change[j, k] == pytest.approx(np.hypot(*(moved[0] - moved[1])) / 0.1 / 2)
+
+
+def test_a_lorry_changes_the_speed_of_a_car_more_than_a_car_does():
+    """Masses count as areas: of 10 m/s a lorry of three times the area gives three quarters."""
+    along = np.arange(1, 21) * 1.0
+    own = Futures(
+        agent_id="b",
+        position_m=np.stack([along - 20, 0 * along], -1)[None],
+        heading_rad=np.zeros((1, 20)),
+    )
+    stands = Futures(agent_id="av", position_m=np.zeros((1, 20, 2)), heading_rad=np.zeros((1, 20)))
+    reactions = [Forecast(futures=stands, probability=np.ones(1))]
+    car, lorry = np.array([4.0, 2.0]), np.array([10.0, 2.4])
+    step = np.full((1, 1), 15.0)
+    assert delta_v(own, reactions, lorry, car, step) == pytest.approx(7.5)
+    assert delta_v(own, reactions, car, car, step) == pytest.approx(5.0)
 
 
 # Where an opponent can come from, so that it can reach a side of an AV that drives at 10 m/s.

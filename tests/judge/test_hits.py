@@ -63,6 +63,20 @@ def pair_of(other, av=EAST, road=None):
     return rollout, Meeting.of(rollout.tracks, ("av", "b"), STEP, road)
 
 
+@pytest.mark.parametrize(("begin", "late"), [(25, False), (35, True)])
+def test_braking_is_late_a_second_after_the_onset(begin, late):
+    """The other stands 4.7 m beyond where they meet; the AV sees it from step 15 on."""
+    speed = np.maximum(10.0 - 0.3 * np.maximum(np.arange(STEP + 1) - begin, 0), 1.0)
+    x = np.concatenate([[0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))])
+    av = np.column_stack([x - x[-1], np.zeros((STEP + 1, 2))])
+    stands = straight(4.7, 0, 0, steps=STEP + 1, now=STEP)
+    rollout, _ = pair_of(stands, av)
+    found = hits.described(rollout, None, None, begin=15, ran_red=False)
+    assert 15 <= found.onset < 20
+    assert found.late == late
+    assert found.braking_mps2 == pytest.approx(3.0, abs=0.01)
+
+
 @pytest.mark.parametrize("name", MET)
 def test_the_conflict_and_where_the_opponent_came_from(name):
     other, side = MET[name]

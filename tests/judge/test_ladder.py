@@ -210,6 +210,26 @@ def test_who_passes_a_red_light_errs():
     assert at(SignalState.CAUTION, GO)[2] == ""  # yellow is no red
 
 
+def test_turning_right_at_a_red_light_is_no_error_by_itself():
+    corner = np.array([(-10, 0), (-6, -0.5), (-2, -3), (0, -8), (0, -10)], float)
+    road = road_of(
+        lane("west", (-200, 0), (-10, 0), next=("right",)),
+        lane("right", *corner, next=("out",), previous=("west",), interpolating=True),
+        lane("north", (0, 200), (0, 10), next=("down",)),
+        lane("down", (0, 10), (0, -10), next=("out",), previous=("north",), interpolating=True),
+        lane("out", (0, -10), (0, -200), previous=("right", "down")),
+    )
+    way = np.concatenate([[(-40, 0)], corner, [(0, -80)]])
+    along = np.concatenate([[0.0], np.hypot(*np.diff(way, axis=0).T).cumsum()])
+    at = 8.0 * 0.1 * np.arange(STEPS)
+    av = np.stack([np.interp(at, along, way[:, axis]) for axis in (0, 1)], -1)
+    step = np.gradient(av, axis=0)
+    av = np.column_stack([av, np.arctan2(step[:, 1], step[:, 0])])
+    straight_on = driven(8, x=0, y=27, heading=-NORTH)
+    lights = {"right": STOP, "down": GO}
+    assert told(av, straight_on, road=road, lights=lights)[2] == "took_priority"
+
+
 def test_an_av_that_moves_over_into_a_vehicle_errs():
     over = aside(AV, 3.5, 30)
     assert told(over, driven(10, x=2, y=3.5)) == ("A", ("moved_over",), "moved_over", "")
@@ -281,6 +301,8 @@ def test_nobody_drives_against_the_traffic_for_more_than_a_moment():
     oncoming, av = driven(10, x=120, y=7, heading=WEST), driven(10, y=3.5)
     late = told(av, aside(oncoming, 3.5, 55, 2.2), alone=oncoming)
     assert late == ("D", ("only_search",), "", "left_lane")
+    moment = verdict(episode_of(av, aside(oncoming, 3.5, 53, 2.2), alone=oncoming))
+    assert "against_traffic" not in moment.reasons
     early = told(av, aside(oncoming, 3.5, 25, 2.2), alone=oncoming)
     assert early[:2] == ("C", ("against_traffic",))
 

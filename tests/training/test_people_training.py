@@ -105,7 +105,8 @@ def test_training_learns_and_is_read_back(monkeypatch, tmp_path):
 def test_as_many_outcomes_are_inside_as_the_mass_says():
     """Outcomes drawn from the prediction itself."""
     prediction = untrained(view(), "walker")
-    drawn = prediction.drawn(400, np.random.default_rng(5))
+    count = 120
+    drawn = prediction.drawn(count, np.random.default_rng(5))
     inside = {0.5: 0, 0.9: 0}
     for place in drawn:
         future = windows.future_of(scene(), "walker", 10)
@@ -114,8 +115,9 @@ def test_as_many_outcomes_are_inside_as_the_mass_says():
         found = densities(prediction, replace(future, position_m=position))
         for share in inside:
             inside[share] += found[f"inside_{100 * share:g}", 4.0]
-    assert inside[0.5] / 400 == pytest.approx(0.5, abs=0.08)
-    assert inside[0.9] / 400 == pytest.approx(0.9, abs=0.05)
+    # three standard deviations of that many draws
+    assert inside[0.5] / count == pytest.approx(0.5, abs=0.14)
+    assert inside[0.9] / count == pytest.approx(0.9, abs=0.08)
 
 
 def test_figures_of_a_walker_at_constant_velocity():

@@ -130,6 +130,17 @@ def test_the_fuzzy_driver_drops_back_from_a_leader_as_fast_as_itself():
     assert lag[1] == 0.0
 
 
+def test_the_fuzzy_driver_brakes_no_faster_than_a_foot_can():
+    """12.65 m/s3: it takes half a second to 6 m/s2."""
+    path = AvPath.through(np.zeros((1, 2)), np.zeros(1), np.empty((0, 2)))
+    approach = Approach.of(path, *leaders(25.0, 8.0)[1:], CAR, CAR, DT)
+    unchanged = 20.0 * DT * np.arange(STEPS)
+    along = drive([reference_drivers.MODELS["fsm"]], approach, unchanged)[0, 0]
+    braking = -np.diff(along, 2) / DT**2
+    assert braking.max() > 5.0
+    assert np.abs(np.diff(braking[: int(braking.argmax()) + 1])).max() < 12.7 * DT
+
+
 def test_who_enters_the_corridor_when():
     """Cars of 4.8 x 2 m at the path's left, 4 m from its line, 2 m/s towards it."""
     path = AvPath.through(np.zeros((1, 2)), np.zeros(1), np.empty((0, 2)))
