@@ -118,8 +118,7 @@ MUTATIONS = (
         "a side that stands strikes", "judge/impact.py",
         "self.face if self.front is None and self.their_mps > self.own_mps else None",
         "self.face if self.front is None else None",
-        "judge/test_first_touch.py judge/test_causes.py "
-        "judge/metrics/test_avoidance_metrics.py",
+        "judge/test_hits_by_people.py",
     ),
     Mutation(
         "early braking is late", "judge/hits.py",

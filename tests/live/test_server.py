@@ -26,6 +26,8 @@ from deepmf_sumo.cli import _leaving, main
 from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import CLOSE, LARGEST, LOAD, ORDER, STEP
 
+from tests.support.forked_workers import Command
+
 pytestmark = pytest.mark.sumo
 
 CLIENT = """
@@ -55,13 +57,10 @@ def served(tiny, tmp_path):
     started = []
 
     def start(av="av", *more, status=False):
-        command = [
-            sys.executable, "-m", "deepmf_sumo.cli.main", "serve", tiny / "tiny.sumocfg",
-            "--port", "0", "--av", av, "--out", tmp_path / "live", *more, "--", *OPTIONS,
-        ]  # fmt: skip
-        process = subprocess.Popen(
-            list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        process = Command(
+            "serve", tiny / "tiny.sumocfg", "--port", "0", "--av", av,
+            "--out", tmp_path / "live", *more, "--", *OPTIONS,
+        )  # fmt: skip
         started.append(process)
         line, said = process.stderr.readline(), "localhost:" if status else "listening on port "
         return process, int(re.search(rf"{said}(\d+)", line)[1])
@@ -559,17 +558,13 @@ def test_a_client_may_add_its_vehicle_later(tiny, tmp_path):
     config = tmp_path / "empty.sumocfg"
     net = tiny / "tiny.net.xml"
     config.write_text(f'<configuration><input><net-file value="{net}"/></input></configuration>')
-    command = [
-        sys.executable, "-m", "deepmf_sumo.cli.main", "serve", config, "--port", "0", "--av", "av",
-        "--out", tmp_path / "live", "--", *OPTIONS,
-    ]  # fmt: skip
-    with subprocess.Popen(
-        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        port = re.search(r"port (\d+)", process.stderr.readline())[1]
-        script = [sys.executable, "-c", ADDS, port]
-        done = subprocess.run(script, capture_output=True, text=True, check=False, timeout=60)
-        _, told = process.communicate(timeout=60)
+    process = Command(
+        "serve", config, "--port", "0", "--av", "av", "--out", tmp_path / "live", "--", *OPTIONS
+    )
+    port = re.search(r"port (\d+)", process.stderr.readline())[1]
+    script = [sys.executable, "-c", ADDS, port]
+    done = subprocess.run(script, capture_output=True, text=True, check=False, timeout=60)
+    _, told = process.communicate(timeout=60)
     assert ("('av',)" in done.stdout, process.returncode) == (True, 0), (done.stderr, told)
 
 

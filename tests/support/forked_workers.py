@@ -8,8 +8,10 @@ test has patched. Tests of the workers themselves ask for the fixture `spawned_w
 
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import forkserver, reduction
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
@@ -33,8 +35,11 @@ LOADED = [
 class _Surroundings:
     """What a process takes over from the one that pickles this, when it unpickles it."""
 
+    def __init__(self, *streams: int) -> None:
+        self._streams = streams or (1, 2)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _take_over, (dict(os.environ), reduction.DupFd(1), reduction.DupFd(2))
+        return _take_over, (dict(os.environ), *map(reduction.DupFd, self._streams))
 
 
 def _take_over(environment: dict[str, str], *streams: Any) -> None:
@@ -71,7 +76,6 @@ def program(text: str, arguments: Sequence[str], folder: Path) -> str:
     process = ForkServerProcess(
         target=_program, args=(_Surroundings(), text, list(arguments), folder, output)
     )
-    forkserver.set_forkserver_preload(LOADED)
     process.start()
     process.join()
     said = output.read_text("utf-8")
@@ -88,6 +92,56 @@ def _program(_: None, text: str, arguments: list[str], folder: Path, output: Pat
     sys.path.insert(0, "")
     sys.argv = ["-c", *arguments]
     exec(compile(text, "<program>", "exec"), {"__name__": "__main__"})
+
+
+class Command:
+    """``deepmf-sumo ...`` in such a process, as `subprocess.Popen` starts it, with text streams."""
+
+    def __init__(self, *arguments: object) -> None:
+        started_programs.refuse("a command")
+        out, err = os.pipe(), os.pipe()
+        self._process = ForkServerProcess(
+            target=_command, args=(_Surroundings(out[1], err[1]), [str(one) for one in arguments])
+        )
+        self._process.start()
+        self.pid = self._process.pid
+        for end in (out[1], err[1]):
+            os.close(end)
+        self.stdout, self.stderr = (os.fdopen(end[0], encoding="utf-8") for end in (out, err))
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
+    def send_signal(self, number: int) -> None:
+        if self.returncode is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """What is left on both streams, once it has ended."""
+        if self.stdout.closed:
+            return "", ""
+        with ThreadPoolExecutor(2) as pool:
+            reading = [pool.submit(stream.read) for stream in (self.stdout, self.stderr)]
+            self._process.join(timeout)
+            if self.returncode is None:
+                self.kill()
+                raise TimeoutError(f"the command did not end within {timeout:g} s")
+            out, err = (one.result() for one in reading)
+        self.stdout.close()
+        self.stderr.close()
+        return out, err
+
+
+def _command(_: None, arguments: list[str]) -> None:
+    from deepmf_sumo.cli import main
+
+    sys.argv = ["deepmf-sumo", *arguments]
+    sys.stdout, sys.stderr = (os.fdopen(os.dup(one), "w", buffering=1) for one in (1, 2))
+    main.main()
 
 
 def use(patch: pytest.MonkeyPatch) -> None:
