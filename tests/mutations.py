@@ -219,6 +219,11 @@ MUTATIONS = (
         "sumo/simulation/test_cyclists_taken_over.py sumo/simulation/test_opponents_in_turn.py",
     ),
     Mutation(
+        "the way back to the route is forgotten", "sumo/simulation/vehicle_control.py",
+        "            self._restore_route(step, taken)\n", "",
+        "sumo/simulation/test_takeover_gone.py",
+    ),
+    Mutation(
         "a plan a step late", "sumo/simulation/attack_schedule.py",
         "(period is not None and elapsed % period == 0)",
         "(period is not None and elapsed % period == 1)",

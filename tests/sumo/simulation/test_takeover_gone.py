@@ -72,6 +72,19 @@ def test_one_that_sumo_has_taken_off_the_road_is_not_moved():
     assert (event.kind, event.detail) == ("opponent_gone", "left the traffic")
 
 
+def test_one_that_was_put_off_its_route_is_sent_to_its_destination():
+    api, route, sent = sumo(["ov"]), ["ab", "bc"], []
+    api.vehicle.getRoute = lambda _: tuple(route)
+    api.vehicle.getLaneID = lambda _: "bd_0"
+    api.vehicle.changeTarget = lambda *of: sent.append(of)
+    api.lane = SimpleNamespace(getAllowed=lambda _: (), getDisallowed=lambda _: ())
+    takeover = Takeover(api, [])
+    takeover.place(1, "ov", Pose(x_m=0, y_m=0, heading_rad=0, speed_mps=5), 4.5)
+    route[1] = "bd"  # SUMO makes it the route of where it was put
+    takeover.hand_back(2, "ov")
+    assert sent == [("ov", "bc")]
+
+
 def test_one_that_comes_back_has_its_own_class():
     there, classes = ["ov"], {"ov": "taxi"}
     takeover = Takeover(sumo(there, {"lanechange.duration": "3"}, classes), [])
