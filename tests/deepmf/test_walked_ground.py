@@ -13,6 +13,7 @@ from deepmf_sumo.scene import Polygon, RoadMap
 from deepmf_sumo.scene.road_users import ROAD_USERS
 
 from tests.deepmf.test_off_lane_paths import ahead
+from tests.deepmf.test_people_rules import own_of
 from tests.support.people_views import people_policy, people_view
 from tests.support.predictor_doubles import STEPS, straight_road
 
@@ -100,3 +101,15 @@ def test_no_plan_leads_off_the_ground(kind):
         inside = shapely.contains_xy(ground.buffer(0.05), *np.moveaxis(futures, -1, 0))
         assert inside.all()
         assert len(futures) > 5
+
+
+def test_candidates_that_leave_the_ground_are_none():
+    situation = situation_at(street(), "pedestrian", 40, -3, UP, 1.4)
+    along, over, far = (
+        to_the(course, speed, (40, -3))[0] for course, speed in ((0.0, 1.4), (UP, 1.0), (UP, 2.0))
+    )
+    own = walked_ground.among(situation, own_of(over, along, far))
+    np.testing.assert_array_equal(own.forecast.futures.position_m, along[None])
+    assert own.forecast.probability.tolist() == [1.0]
+    last = walked_ground.among(situation, own_of(far, over))  # none stays: who leaves it last
+    np.testing.assert_array_equal(last.forecast.futures.position_m, over[None])
