@@ -8,6 +8,7 @@ from deepmf_sumo.deepmf.networks import condition
 from deepmf_sumo.deepmf.networks.condition import Following, OnPaths, Road
 from deepmf_sumo.deepmf.networks.config import VECTOR
 from deepmf_sumo.deepmf.networks.encode import span
+from deepmf_sumo.scene.car_following import TREIBER, desired_gap_m
 
 STRAIGHT = torch.stack([torch.arange(121) * 2.0, torch.zeros(121)], -1)
 
@@ -62,6 +63,28 @@ def test_it_stops_behind_who_stands_in_its_way():
     assert aside[-1] == pytest.approx(driven(road(), FAR)[-1], abs=1e-3)
     across = driven(road(), given(60.0, 3.0, heading=np.pi / 2))
     assert across[-1] < 60.0, "a vehicle across reaches farther to its sides"
+
+
+@pytest.mark.parametrize("pace", [0.0, 4.0])
+def test_it_desires_the_gap_of_the_intelligent_driver(pace):
+    """Behind one that stands or is slow; steps of a quarter of a second, integrated here.
+
+    The leader's first given step, 0.1 s ahead, stands for now: in the first half second it seems to
+    drive a fifth less.
+    """
+    along, speed, expected, dt_s = 0.0, 10.0, [], 0.25
+    seconds = np.append(0.0, np.arange(1, 17) * 0.5 - 0.1)
+    for step in range(32):
+        since = np.interp(step / 2, np.arange(17), seconds)
+        ahead_mps = pace * (0.8 if step < 2 else 1.0)
+        gap = 40.0 + pace * since - 4.8 - along
+        wanted = desired_gap_m(TREIBER, speed, ahead_mps, lambda keep: max(0.0, keep))
+        gain = TREIBER.accel_mps2 * (1 - (speed / 15.0) ** 4 - (wanted / max(gap, 0.1)) ** 2)
+        after = max(speed + max(gain, -TREIBER.emergency_mps2) * dt_s, 0.0)
+        along, speed = along + (speed + after) / 2 * dt_s, after
+        expected += [along] * (step % 2)
+    found = driven(road(), given(40.0 + torch.arange(80) * 0.1 * pace, 0.0))
+    assert found == pytest.approx(expected, abs=1e-3)
 
 
 def test_it_brakes_while_somebody_crosses_and_goes_on():
