@@ -31,6 +31,7 @@ from deepmf_sumo.spec.model import (
     SearchBudget,
     Spec,
     WantedPeople,
+    Who,
 )
 from deepmf_sumo.spec.profiles import DEFAULT_RULES, PROFILES, Profile, ProfileName
 from deepmf_sumo.spec.schema import schema
@@ -56,6 +57,7 @@ __all__ = [
     "SearchBudget",
     "Spec",
     "WantedPeople",
+    "Who",
     "load",
     "of_document",
     "schema",

@@ -49,7 +49,8 @@ def choose(
         sightings: which vehicle is where at which time.
         turns: what it is to drive from an edge to another.
         wish: the moments that are asked for.
-        met: encounters that attacks would begin with; None where no vehicles meet.
+        met: encounters that attacks would begin with; None where no vehicles meet, and of attacks
+            by people.
         within: (K) whether it is in the area that is attacked; None: it is the whole network.
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
@@ -63,7 +64,9 @@ def choose(
     if len(rows):
         spread = _Spread(sightings, turns, wish, rows, met or nobody_met(sightings))
         moments = spread.draw()
-        if len(moments) < wish.count:
+        if len(moments) < wish.count and wish.people:
+            reason = "at other times all vehicles that people could attack are under attack already"
+        elif len(moments) < wish.count:
             reason = (
                 f"no {'other ' if moments else ''}vehicle that could be the AV has another vehicle"
                 f" within {REACH_M:g} m"
@@ -216,7 +219,7 @@ class _Spread:
         if self._too_soon(row):
             return None
         count = around(self._sightings, self._able, row)
-        if not count and not self._comes_near(row):
+        if not count and not self._wish.people and not self._comes_near(row):
             return None
         self._note(row, place)
         return self._moment(row, place, count)

@@ -2,6 +2,7 @@
 
 import difflib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -10,6 +11,8 @@ import numpy as np
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.scene import DT_S, AgentId, Bools
 from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.spec import Who
+from deepmf_sumo.study.moments.people_met import DRIVES_MPS, drives, reached
 from deepmf_sumo.sumo.simulation.road_users import kind_of
 from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, DemandVehicle, Ints, Sightings
 
@@ -37,6 +40,7 @@ class WantedMoments:
             any attack; ``both`` spreads over places and time, and does so within each place.
         from_s: only from this time of the simulation on; ``settled``: see `warm_up`.
         where: the area that is attacked, in words; empty: the whole network.
+        people: who attacks: people of the demand, made ones, or both; empty: vehicles.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -52,6 +56,7 @@ class WantedMoments:
     prefer: Preference = "spread"
     from_s: float | Literal["settled"] | None = None
     where: str = ""
+    people: Who | Literal[""] = ""
     by_option: bool = True
 
     def named(self, key: str) -> str:
@@ -268,6 +273,7 @@ def _conditions(sightings: Sightings, wish: WantedMoments) -> list[tuple[Bools, 
         moments = np.array(wish.at_s)
         at = (np.abs(time_s[:, None] - moments) < _ROUNDING_S).any(axis=1)
     named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
+    asked_for = wish.at_s or wish.again
     classes = ", ".join(sorted({body.permission for body in bodies if _is_asked(body, wish)}))
     return [
         (asked, "no vehicle is asked for"),
@@ -281,7 +287,20 @@ def _conditions(sightings: Sightings, wish: WantedMoments) -> list[tuple[Bools, 
         (remains, f"{named} must stay for {stays:g} s, and none does"),
         (~sightings.parked, f"{named} must not be parked, and all are"),
         (_moves(sightings, max(STAYS_S, wish.duration_s)), f"{named} must move, and none does"),
+        *(_people_meet_it(sightings, wish, named) if wish.people and not asked_for else ()),
     ]
+
+
+def _people_meet_it(
+    sightings: Sightings, wish: WantedMoments, named: str
+) -> Iterator[tuple[Bools, str]]:
+    """Of attacks by people: an AV that drives, and, if nobody is made, somebody who gets to it."""
+    drive = f"drive at {DRIVES_MPS:g} m/s or more for most of an attack by people"
+    yield drives(sightings, wish.duration_s), f"{named} must {drive}, and none does"
+    if wish.people == "existing":
+        nobody = f"no pedestrian and no cyclist could get onto the way of {named} in time"
+        more = "source.people: made puts people there"
+        yield reached(sightings, wish.duration_s), f"{nobody}; {more}"
 
 
 def _late(sightings: Sightings, wish: WantedMoments, from_s: float, why: str) -> tuple[Bools, str]:

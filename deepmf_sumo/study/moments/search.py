@@ -75,10 +75,13 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
     key = "--moments-of" if by_option else "source.moments.of"
     again = read(asked.of, key, spec.name, spec.seed) if asked.of else ()
     count = asked.count or len(asked.at_s or again) or 10
+    people = source.people.who if spec.adversary.settings.get("attackers") == "people" else ""
     wish = WantedMoments(
         count=count,
         pool=POOL * count if asked.draw == "promising" else 0,
-        **asked.model_dump(include={"av", "av_type", "at_s", "prefer", "from_s"}),
+        **asked.model_dump(include={"av", "av_type", "at_s", "from_s"}),
+        prefer="spread" if people else asked.prefer,  # encounters are of vehicles
+        people=people,
         again=again,
         duration_s=spec.duration_s,
         seed=spec.seed,
@@ -104,6 +107,7 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
         from_s=asked.from_s if isinstance(asked.from_s, float) else None,
         settles=asked.from_s == "settled",
         corners=area.corners if area else (),
+        people=people == "existing",
     )
     return MomentRequest(
         configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area
@@ -150,7 +154,7 @@ def _search(search: _Search) -> None:
         net = read_once(file)
         if len(sightings.z_m) and np.ptp(sightings.z_m) >= CLEARANCE_M:
             sightings = replace(sightings, ground=ground_of(road_of_net(file)))
-        met = encounters(sightings, net, search.wish.duration_s)
+        met = None if search.wish.people else encounters(sightings, net, search.wish.duration_s)
         area, duration_s = search.area, search.wish.duration_s
         within = inside(area, sightings, net, duration_s) if area else None
         found = choose(sightings, turns_of(net), search.wish, met, within)

@@ -16,6 +16,7 @@ from deepmf_sumo.scene import DT_S, Bools, Floats
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.ground import Ground
 from deepmf_sumo.sumo.simulation.long_vehicles import LongVehicles
+from deepmf_sumo.sumo.simulation.road_users import on_foot, somewhere
 from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
 from deepmf_sumo.sumo.simulation.sumo_config import (
     Configuration,
@@ -58,6 +59,7 @@ class Scouting:
             `MOST_WHILE_GROWING`.
         corners: longitudes and latitudes to project.
         from_s: beginning of the survey: up to then SUMO drives unseen; None: that of SUMO.
+        people: whether persons are noted, too.
     """
 
     config: Path
@@ -68,6 +70,7 @@ class Scouting:
     from_s: float | None = None
     settles: bool = False
     corners: tuple[tuple[float, float], ...] = ()
+    people: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +105,8 @@ class Sightings:
         ground: of the network; None where no vehicle is above another.
         projected_m: the corners that were asked for, in the network's frame.
         warnings: SUMO's, see `sumo_words`.
+        walker_s, walker_m: (W), (W, 2) times and places of persons who are not in vehicles, where
+            they were asked for.
     """
 
     begin_s: float
@@ -123,6 +128,8 @@ class Sightings:
     ground: Ground | None = None
     projected_m: tuple[tuple[float, float], ...] = ()
     warnings: tuple[str, ...] = ()
+    walker_s: Floats = field(default_factory=lambda: np.zeros(0))
+    walker_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 def scout(scouting: Scouting) -> Sightings:
@@ -158,7 +165,7 @@ def growth(number: Sequence[int] | Floats) -> Growth:
 
 
 def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
-    notes = _Columns(api)
+    notes = _Columns(api, people=scouting.people)
     begin = now = _begun(api, scouting.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
     until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
@@ -212,6 +219,7 @@ class _Columns:
     """Columns that grow; constants are asked for once."""
 
     api: SumoApi
+    people: bool = False
     bodies: dict[str, tuple[int, float]] = field(default_factory=dict)  # row, length
     known: list[DemandVehicle] = field(default_factory=list)
     edges: dict[str, int] = field(default_factory=dict)
@@ -219,6 +227,7 @@ class _Columns:
     lengths: dict[str, float] = field(default_factory=dict)
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
     rows: "array[int]" = field(default_factory=lambda: array("q"))
+    walkers: "array[float]" = field(default_factory=lambda: array("d"))
 
     def __post_init__(self) -> None:
         self.long = LongVehicles(self.api)
@@ -242,7 +251,16 @@ class _Columns:
             x, y, z = vehicle.getPosition3D(name)
             speed = max(0.0, vehicle.getSpeed(name))
             self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed, z))
+        if self.people:
+            self._look_for_walkers(now)
         return len(names)
+
+    def _look_for_walkers(self, now: float) -> None:
+        person = self.api.person
+        for name in sorted(person.getIDList()):
+            place = person.getPosition(name)
+            if on_foot(person.getVehicle(name)) and somewhere(place):
+                self.walkers.extend((now, *place))
 
     def _left_m(self, lane: str, at_m: float) -> float:
         """More than 0 for a vehicle on the stop line, where SUMO lets it stop without a yellow."""
@@ -253,6 +271,7 @@ class _Columns:
     ) -> Sightings:
         numbers = np.array(self.numbers).reshape(-1, 8)
         rows = np.array(self.rows).reshape(-1, 4)
+        walkers = np.array(self.walkers).reshape(-1, 3)
         centre, _ = frames.from_sumo(numbers[:, 1:3], numbers[:, 3], numbers[:, 4])
         return Sightings(
             begin_s=begin,
@@ -271,6 +290,8 @@ class _Columns:
             speed_mps=numbers[:, 6],
             parked=rows[:, 3].astype(bool),
             z_m=numbers[:, 7],
+            walker_s=walkers[:, 0],
+            walker_m=walkers[:, 1:],
         )
 
     def _body(self, name: str) -> tuple[int, float]:
