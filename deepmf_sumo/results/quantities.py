@@ -264,6 +264,8 @@ _OF_THE_AV: Final = (
     _OfTheAv("av_red_run_rate", "1", "higher", "av_red_run", "red run", RATE, 1.0, limit=0.0),
     _OfTheAv("av_right_of_way_mps2", "m/s2", "higher", "av_right_of_way_taken",
              "right of way taken", 1.0, 10.0, limit=6.0),
+    _OfTheAv("av_crossing_taken_rate", "1", "higher", "av_crossing_taken",
+             "did not give way at a crossing", RATE, 1.0, limit=0.0),
     _OfTheAv("av_unexplained_stop_s", "s", "higher", "av_unexplained_stop",
              "stop without reason", 1.0, 10.0, limit=3.0),
     _OfTheAv("av_unexplained_braking_mps2", "m/s2", "higher", "av_unexplained_braking",

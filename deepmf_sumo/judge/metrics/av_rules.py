@@ -7,6 +7,7 @@ them on the attacked episode and on the same one without attack (`MONITORS`).
 from typing import Final
 
 import numpy as np
+import shapely
 
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, driving, metric, once
 from deepmf_sumo.judge.metrics._surroundings import (
@@ -29,7 +30,7 @@ from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.lane_map import MARGIN_M
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS
-from deepmf_sumo.scene.signals import FORBIDS
+from deepmf_sumo.scene.signals import FORBIDS, GOES
 
 MONITORS: Final = (
     "av_over_limit",
@@ -38,6 +39,7 @@ MONITORS: Final = (
     "av_beyond_stop_line",
     "av_red_run",
     "av_right_of_way_taken",
+    "av_crossing_taken",
     "av_unexplained_stop",
     "av_unexplained_braking",
     "av_close_following",
@@ -64,6 +66,13 @@ _SAME_WAY_RAD: Final = float(np.pi / 6)
 _PRESENT_M: Final = 60.0
 _LONG_STEPS: Final = 5
 _FROZEN_MPS: Final = 0.0005
+_WALKING_MPS: Final = 1.4
+_SEEN_S: Final = 2.5
+"""A driver reacts and stops from 50 km/h in this time."""
+_WAITS_S: Final = 3.0
+_LIGHTS_M: Final = 50.0
+_TURNS_M: Final = 30.0
+_TURNED_RAD: Final = float(np.radians(20))
 _REPEATED_STEPS: Final = 3
 _BRAKES_MPS2: Final = 0.7
 _BESIDE_STEPS: Final = 2
@@ -174,6 +183,58 @@ def _asked_mps2(rollout: Rollout, steps: Ints, row: int) -> float:
     soon = time_to_collision(other, mine)
     brakes = slowing(tracks, av, rollout.dt_s)[steps]
     return float(braking_to_stay_behind(other, mine, brakes, soon).max(initial=0.0))
+
+
+@metric("1", better="higher")
+def av_crossing_taken(episode: Episode) -> float:
+    """1 where the AV, faster than walking (1.4 m/s), drives onto a pedestrian crossing on which
+    somebody has walked for 2.5 s, and who gets into its corridor within the next 3 s, in the
+    simulated steps up to the AV's first contact, else 0. Nobody counts where the AV passed a green
+    light and went straight on: the crossing is red then.
+    """
+    drive, road = DrivenSteps.of(episode), episode.case.road
+    crossings = [shapely.Polygon(one.points_m) for one in road.polygons
+                 if one.kind == "crosswalk" and len(one.points_m) > 2]  # fmt: skip
+    if not crossings:
+        raise NotMeasurable("the map has no pedestrian crossings")
+    on_foot = np.flatnonzero(np.array(episode.rollout.tracks.kinds) == "pedestrian").tolist()
+    for area in crossings if on_foot else ():
+        inside = shapely.contains_xy(area, *drive.front_m.T)
+        for at in np.flatnonzero(inside & ~np.concatenate([inside[:1], inside[:-1]])).tolist():
+            fast = drive.speed_mps[at] > _WALKING_MPS and not _light_let_it_go(episode, drive, at)
+            if fast and any(_has_to_wait_for(episode, drive, at, row, area) for row in on_foot):
+                return 1.0
+    return 0.0
+
+
+def _has_to_wait_for(
+    episode: Episode, drive: DrivenSteps, at: int, row: int, area: shapely.Polygon
+) -> bool:
+    """Whether a person has been on a crossing for long, and comes into the AV's corridor."""
+    tracks, step = episode.rollout.tracks, int(drive.steps[at])
+    since = np.arange(max(step - round(_SEEN_S / episode.rollout.dt_s), 0), step + 1)
+    if not tracks.valid[row, since].all():
+        return False
+    if not shapely.contains_xy(area, *tracks.position_m[row, since].T).all():
+        return False
+    left_m = frames.to_local(
+        tracks.position_m[row, step], drive.position_m[at], float(drive.heading_rad[at])
+    )[1]
+    normal = frames.unit(np.asarray(drive.heading_rad[at] + np.pi / 2))
+    towards_mps = -np.sign(left_m) * float(tracks.velocity_mps[row, step] @ normal)
+    room_m = abs(float(left_m)) - float(drive.size_m[1] + tracks.size_m[row, 1]) / 2
+    return bool(room_m <= 0 or room_m < towards_mps * _WAITS_S)
+
+
+def _light_let_it_go(episode: Episode, drive: DrivenSteps, at: int) -> bool:
+    """Whether the AV passed a green light before, and has gone straight on since."""
+    rollout, road = episode.rollout, episode.case.road
+    before = np.hypot(*(drive.position_m[: at + 1] - drive.position_m[at]).T) < _TURNS_M
+    turned = frames.difference(drive.heading_rad[: at + 1][before], drive.heading_rad[at])
+    if np.abs(turned).max() > _TURNED_RAD:
+        return False
+    passed = driving.lights_passed(rollout, road, drive.row, drive.position_m[at], _LIGHTS_M)
+    return bool(passed & GOES) and not passed & FORBIDS
 
 
 @metric("s", better="higher")

@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics import own
 from deepmf_sumo.judge.metrics.av_rules import MONITORS
-from deepmf_sumo.scene import Lane, RoadMap, SignalState
+from deepmf_sumo.scene import Lane, Polygon, RoadMap, SignalState
 
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 
@@ -25,6 +25,12 @@ def lane(name, points, **more):
     )  # fmt: skip
 
 
+def crossing_at(x):
+    """A crossing of 8 m by 4 m over the AV's road."""
+    corners = np.array([(x + dx, dy) for dx, dy in ((-2, -4), (2, -4), (2, 4), (-2, 4))], float)
+    return Polygon(id="crossing", kind="crosswalk", points_m=corners, z_m=np.zeros(4))
+
+
 ROAD = RoadMap(
     lanes={
         one.id: one
@@ -38,7 +44,8 @@ ROAD = RoadMap(
                  interpolating=True),
             lane("north", [[10, 10], [10, 300]], previous=("across",)),
         )
-    }
+    },
+    polygons=(crossing_at(450),),
 )  # fmt: skip
 
 
@@ -54,8 +61,8 @@ def braking(x, speed, at_s, mps2):
     return poses(x, np.maximum(0.0, speed - mps2 * np.maximum(0.0, seconds - at_s)))
 
 
-def measured(name, av, lights=None, **others):
-    case = dataclasses.replace(in_traffic(case_of()), road=ROAD)
+def measured(name, av, lights=None, road=ROAD, **others):
+    case = dataclasses.replace(in_traffic(case_of()), road=road)
     rollout = rollout_of({"av": av, "b": AWAY, **others})
     if lights:
         lit = tuple({"over": one} for one in lights)
@@ -122,6 +129,53 @@ def test_right_of_way():
     assert value("av_right_of_way_taken", av, south=near) > 2.0
     assert value("av_right_of_way_taken", av, south=straight(10, -190, 12, heading=np.pi / 2)) == 0
     assert value("av_right_of_way_taken", straight(-12, 0, 0), south=near) == 0.0
+
+
+def at_the_crossing(person, lights=None, speed=10, kind="pedestrian", x=100):
+    """Of an AV whose front comes to a crossing of 8 m by 4 m after 4 s, with somebody there."""
+    road = dataclasses.replace(ROAD, polygons=(crossing_at(x),))
+    case = dataclasses.replace(in_traffic(case_of()), road=road)
+    rollout = rollout_of(
+        {"av": straight(x - 2 - 2.4 - 4 * speed, 0, speed), "b": AWAY, "p": person}
+    )
+    size_m = rollout.tracks.size_m.copy()
+    size_m[2] = 0.5, 0.5, 1.75
+    tracks = dataclasses.replace(rollout.tracks, kinds=("vehicle", "vehicle", kind), size_m=size_m)
+    lit = () if lights is None else ({"over": lights},) * 80
+    rollout = dataclasses.replace(rollout, tracks=tracks, signals=lit)
+    return plugins.load("metrics", "av_crossing_taken").measure(rollout, case).value
+
+
+NORTH = np.pi / 2
+
+
+@pytest.mark.parametrize(
+    ("y_at_4_s", "mps", "taken"),
+    [
+        (-2.5, 0.5, 1.0),  # 1.25 m to the corridor: 2.5 s
+        (-3.4, 0.25, 0.0),  # 2.15 m: too slow to come in its way
+        (2.5, 0.5, 0.0),  # has crossed
+        (-1.5, 1.2, 0.0),  # came onto the crossing only 2.1 s ago
+        (0.0, 0.3, 1.0),  # right in its way
+    ],
+)
+def test_who_walks_on_a_crossing_goes_first(y_at_4_s, mps, taken):
+    walks = straight(100, y_at_4_s - 4.0 * mps, mps, heading=NORTH)
+    assert at_the_crossing(walks) == taken
+
+
+def test_nobody_has_to_be_let_go_by_an_av_that_creeps_or_by_a_rider():
+    walks = straight(100, -2.5 - 4.0 * 0.5, 0.5, heading=NORTH)
+    assert at_the_crossing(walks, speed=1.0) == 0.0
+    assert at_the_crossing(walks, kind="cyclist") == 0.0
+    none = dataclasses.replace(ROAD, polygons=())
+    assert "crossings" in measured("av_crossing_taken", straight(-250, 0, 12), road=none).reason
+
+
+@pytest.mark.parametrize(("lights", "taken"), [(None, 1.0), (GO, 0.0), (RED, 1.0)])
+def test_a_green_light_that_it_passes_straight_on_lets_the_av_go(lights, taken):
+    walks = straight(12, -2.5 - 4.0 * 0.5, 0.5, heading=NORTH)
+    assert at_the_crossing(walks, lights, x=12) == taken
 
 
 @pytest.mark.parametrize("there", [False, True])
