@@ -199,7 +199,7 @@ def av_crossing_taken(episode: Episode) -> float:
         raise NotMeasurable("the map has no pedestrian crossings")
     on_foot = np.flatnonzero(np.array(episode.rollout.tracks.kinds) == "pedestrian").tolist()
     for area in crossings if on_foot else ():
-        inside = shapely.contains_xy(area, *drive.front_m.T)
+        inside = np.asarray(shapely.contains_xy(area, *drive.front_m.T))
         for at in np.flatnonzero(inside & ~np.concatenate([inside[:1], inside[:-1]])).tolist():
             fast = drive.speed_mps[at] > _WALKING_MPS and not _light_let_it_go(episode, drive, at)
             if fast and any(_has_to_wait_for(episode, drive, at, row, area) for row in on_foot):
@@ -215,7 +215,7 @@ def _has_to_wait_for(
     since = np.arange(max(step - round(_SEEN_S / episode.rollout.dt_s), 0), step + 1)
     if not tracks.valid[row, since].all():
         return False
-    if not shapely.contains_xy(area, *tracks.position_m[row, since].T).all():
+    if not np.all(shapely.contains_xy(area, *tracks.position_m[row, since].T)):
         return False
     left_m = frames.to_local(
         tracks.position_m[row, step], drive.position_m[at], float(drive.heading_rad[at])
