@@ -54,11 +54,12 @@ class Wait(_Planner):
 """
 
 
-def build(folder: Path, lanes: int = 2) -> Path:
+def build(folder: Path, lanes: int = 2, more_edges: str = "") -> Path:
     """The configuration, and the module ``bad_planners`` beside it."""
+    edges = EDGES.replace("</edges>", f"{more_edges}</edges>")
     for name, text in {
         "tiny.nod.xml": NODES,
-        "tiny.edg.xml": EDGES.replace('numLanes="2"', f'numLanes="{lanes}"'),
+        "tiny.edg.xml": edges.replace('numLanes="2"', f'numLanes="{lanes}"'),
         "tiny.rou.xml": ROUTES,
         "tiny.sumocfg": CONFIG,
         "bad_planners.py": CRASHING,

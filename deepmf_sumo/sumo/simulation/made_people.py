@@ -168,8 +168,10 @@ class MadePeople:
             if route not in routes:
                 routes.add(route)
                 api.route.add(route, [lane.edge])
-            api.vehicle.add(name, route, typeID=MADE_TYPE + one.road_user, departSpeed="0")
-            api.vehicle.setVehicleClass(name, driver_of(lane))
+            type_id, permission = MADE_TYPE + one.road_user, driver_of(lane)
+            api.vehicletype.setVehicleClass(type_id, permission)  # SUMO asks the type at the start
+            api.vehicle.add(name, route, typeID=type_id, departSpeed="0")
+            api.vehicle.setVehicleClass(name, permission)
             move(api, name, pose, body_of(one).size_m[0], _ANYWHERE_M)
 
     def fit(self, agent: AgentId, pose: Pose) -> None:

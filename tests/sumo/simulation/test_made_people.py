@@ -44,6 +44,16 @@ def test_a_made_pedestrian_stands_where_it_was_put_for_the_whole_history(config)
     assert (rollout.driver[row] == Driver.SUMO).all()
 
 
+def test_people_are_made_where_the_nearest_lane_is_closed_to_cars(tmp_path):
+    """SUMO refuses a vehicle whose class may use no lane of the edge where it begins."""
+    cycleway = '<edge id="cycleway" from="a" to="b" shape="0,-12 400,-12" allow="bicycle"/>'
+    config = tiny_network.build(tmp_path, more_edges=cycleway)
+    beside = standing((120.0, -9.0)), standing((150.0, BESIDE_M), "made_pedestrian_2")
+    tracks = run(config, *beside, steps=20).tracks
+    for one in beside:
+        assert np.abs(tracks.position_m[tracks.row(one.id)] - one.position_m).max() < 1e-9
+
+
 def test_sumos_cars_pass_a_person_at_the_kerb_as_if_nobody_stood_there(config):
     alone, beside = run(config), run(config, standing((120.0, BESIDE_M)))
     passed = beside.tracks.position_m[of(beside, "av"), -1, 0]
