@@ -24,6 +24,7 @@ from deepmf_sumo.scene import (
     agent_ids,
 )
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import MotionModel, road_user
 
 SCORED: Final = frozenset({"argmax", "sample", "partner"})
@@ -204,15 +205,20 @@ def reach_scores(view: View, av: Forecast) -> OpponentScores:
         p = sum over k of P_k (1 - exp(-s_k / 0.5 s)) (exp(-t_k / 4 s) + exp(-m_k / 5 m)) / 2
 
     and the logit is log(p / (1 - p)), for both heads. Nothing of it is trained: it is no calibrated
-    probability, as the network's is.
+    probability, as the network's is. Who walks through a building, where a map draws one over a
+    sidewalk, is none of them: it would step out of a wall.
     """
     tracks = view.history
     av_row = tracks.row(view.av_id)
+    indoors = walkable(view.road).indoors(tracks.position_m[:, -1])
     away = np.hypot(*(tracks.position_m[:, -1] - tracks.position_m[av_row, -1]).T)
     rows = [
         int(row)
         for row in np.argsort(away, kind="stable")
-        if tracks.kinds[row] in PEOPLE and row != av_row and away[row] <= RANGE_M
+        if tracks.kinds[row] in PEOPLE
+        and row != av_row
+        and away[row] <= RANGE_M
+        and not indoors[row]
     ]
     share = np.array([_reaches(view, row, av) for row in rows])
     share = np.clip(share, _LEAST_SHARE, 1 - _LEAST_SHARE)

@@ -8,6 +8,7 @@ import shapely
 
 from deepmf_sumo.deepmf import walked_ground
 from deepmf_sumo.deepmf.candidates import References
+from deepmf_sumo.deepmf.opponent import reach_scores
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.scene import Polygon, RoadMap
 from deepmf_sumo.scene.road_users import ROAD_USERS
@@ -113,3 +114,18 @@ def test_candidates_that_leave_the_ground_are_none():
     assert own.forecast.probability.tolist() == [1.0]
     last = walked_ground.among(situation, own_of(far, over))  # none stays: who leaves it last
     np.testing.assert_array_equal(last.forecast.futures.position_m, over[None])
+
+
+def test_who_is_drawn_inside_a_house_does_not_attack():
+    """A map may draw a house over a sidewalk; a river under a bridge hides nobody."""
+    people = {
+        "av": ("vehicle", 0, 0, 0, 10.0),
+        "outside": ("pedestrian", 28, -3, UP, 1.4),
+        "inside": ("pedestrian", 40, -3, UP, 1.4),
+    }
+    walls, river = house((35, -9), (60, -2.5)), house((-50, -9), (90, 9))
+    for road_map, ids in (
+        (street(), ("outside", "inside")),
+        (street(buildings=(walls,), water=(river,)), ("outside",)),
+    ):
+        assert reach_scores(people_view(people, road=road_map), ahead()).ids == ids

@@ -60,7 +60,7 @@ class Walkable:
         self.beside_m = UNMAPPED_M if road.footways is None else VERGE_M
         self._lanes, self._levels = all_lanes(road), ground_of(road).has_levels
         self._areas = _Areas((*road.polygons, *(road.footways or ())))
-        self._barred = _Areas((*road.buildings, *road.water))
+        self._buildings, self._water = _Areas(road.buildings), _Areas(road.water)
         lines = [one.points_m for one in road.edges if len(one.points_m) > 1]
         row = np.repeat(np.arange(len(lines)), [len(one) for one in lines])
         points = np.concatenate([np.empty((0, 2)), *lines])
@@ -79,9 +79,16 @@ class Walkable:
         found[feet.point[order]] = self._lanes.heights_m(feet)[order]  # the nearest comes last
         return found
 
+    def indoors(self, points_m: Floats) -> Bools:
+        """(N) whether points (N, 2) are inside a building as it is drawn, on whatever ground."""
+        return self._buildings.near(np.asarray(shapely.points(points_m)), 0.0, None)
+
     def barred(self, points_m: Floats) -> Bools:
         """(N) whether points (N, 2) are inside a building or in water, or at a wall."""
-        return self._barred.near(np.asarray(shapely.points(points_m)), _SHOULDER_M, None)
+        places = np.asarray(shapely.points(points_m))
+        return self._buildings.near(places, _SHOULDER_M, None) | self._water.near(
+            places, _SHOULDER_M, None
+        )
 
     def holds(self, points_m: Floats, z_m: Floats | None = None) -> Bools:
         """(N) whether a person can be at points (N, 2).
