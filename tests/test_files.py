@@ -251,6 +251,7 @@ OURS = {
     "sumo/network/mapping.py": "files of a folder that is made whole",
     "exporters/fcd.py": "files of a folder that is made whole",
     "exporters/ssam.py": "files of a folder that is made whole",
+    "exporters/openodd.py": "files of a folder that is made whole",
     "exporters/openscenario.py": "files of a folder that is made whole",
     "exporters/womd.py": "files of a folder that is made whole",
     "exporters/osi.py": "files of a folder that is made whole",

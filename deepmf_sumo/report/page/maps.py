@@ -17,12 +17,11 @@ from deepmf_sumo.results.risk.places import KINDS
 from deepmf_sumo.results.risk.table import COUNTED, DEFINITIONS, PlaceRow, columns
 from deepmf_sumo.results.statistics import PLACE_CONFIDENCE
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.sumo.network.sumo_net import NetLane
+from deepmf_sumo.sumo.network.sumo_net import ON_FOOT, NetLane
 
 _TOLERANCE_M: Final = 0.1
 _MOST_NEVER: Final = 50
 """Longest list on the page; `coverage.csv` has all."""
-_SIDEWALKS: Final = {"crossing", "walkingarea"}
 _RISK: Final = f"({100 * PLACE_CONFIDENCE:.0f} % interval)"
 
 
@@ -144,7 +143,7 @@ def _shape(network: Network, row: PlaceRow) -> list[Any]:
 def _roads(network: Network) -> Iterator[list[Any]]:
     """Width and corners of all lanes for vehicles."""
     for edge in network.places.net.edges.values():
-        if edge.function not in _SIDEWALKS:
+        if edge.function not in ON_FOOT:
             yield from (_line(lane.width_m, lane.shape_m) for lane in edge.lanes)
 
 

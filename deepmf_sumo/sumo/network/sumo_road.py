@@ -358,10 +358,8 @@ def _crossings(net: NetFile) -> list[Polygon]:
     for edge in net.edges.values():
         for lane in edge.lanes if edge.function == "crossing" else ():
             if len(lane.shape_m) > 1:
-                line = shapely.LineString(lane.shape_m[:, :2])
-                half_m = lane.width_m / 2
-                area = shapely.buffer(line, half_m, cap_style="flat", join_style="mitre")
-                corners = shapely.get_coordinates(shapely.get_exterior_ring(area))[:-1]
+                ring = shapely.get_exterior_ring(lane.area())
+                corners = shapely.get_coordinates(ring)[:-1]
                 height = np.full(len(corners), lane.shape_m[0, 2])
                 found.append(Polygon(id=edge.id, kind="crosswalk", points_m=corners, z_m=height))
     return found
