@@ -23,7 +23,7 @@ setup: $(READY)  ## create .venv and install
 run: $(READY)  ## attack every scenario of scenarios/ and print what happened
 	$(RUN) run scenarios/*.yaml --out out/run --overwrite
 
-quick: $(READY)  ## the tests that start no program, not even SUMO: a minute and a half
+quick: $(READY)  ## the tests that start no program, not even SUMO, and take at most a second
 	$(PYTEST) -q -n 2 -m "not sumo and not slow and not slow_unit" --durations 5 --durations-min 1
 
 test: $(READY)  ## lint, types, import contracts and the tests, beside each other

@@ -104,6 +104,7 @@ def test_the_answer_to_what_was_tried_is_known():
 @pytest.mark.parametrize(
     "values", [{}, {"constraints": ["fair", "clean"]}, {"form": {"conditional": False}}]
 )
+@pytest.mark.slow_unit
 def test_what_no_try_changes_is_predicted_once(monkeypatch, values):
     made = {}
     for shared in (True, False):

@@ -16,24 +16,16 @@ def call(command, *arguments):
     return CliRunner().invoke(command, list(map(str, arguments)), catch_exceptions=False)
 
 
-def test_plan_to_tables_in_shards_and_merged(tiny, tmp_path):
-    plan = tiny_plan.write(tiny)
-    for number in (1, 2):
-        out = tmp_path / str(number)
-        done = call(run.command, plan, "--out", out, "--shard", f"{number}/2", *NO_FIGURES)
-        assert done.exit_code == 0, done.output
-        assert "4 runs: 4 ok" in done.output
-    out = tmp_path / "all"
-    done = call(merge.command, out, tmp_path / "1", tmp_path / "2")
+def test_a_shard_is_merged_to_tables_that_say_what_is_missing(tiny, tmp_path):
+    plan, one, out = tiny_plan.write(tiny), tmp_path / "2", tmp_path / "half"
+    done = call(run.command, plan, "--out", one, "--shard", "2/2", *NO_FIGURES)
     assert done.exit_code == 0, done.output
-    assert "8 runs: 8 ok" in done.output
-    assert "1/2" in done.output, "hits of the attacked"
-    text = (out / "table.md").read_text()
-    assert "Table II." in text
-    assert (out / "figures" / "index.md").is_file()
-    done = call(merge.command, tmp_path / "half", tmp_path / "2")
+    assert "4 runs: 4 ok" in done.output
+    done = call(merge.command, out, one)
     assert done.exit_code == 130
     assert "4 not begun: --resume does them" in done.output
+    assert "Table II." in (out / "table.md").read_text()
+    assert (out / "figures" / "index.md").is_file()
 
 
 def test_a_plan_of_one_method_has_tables_too(tiny, tmp_path):

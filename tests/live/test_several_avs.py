@@ -14,6 +14,8 @@ from deepmf_sumo.live.connection import shared
 from deepmf_sumo.live.lockstep import Lockstep, Stay
 from deepmf_sumo.scene import Plan
 
+from tests.support.forked_workers import Command
+
 pytestmark = pytest.mark.sumo
 
 libsumo = pytest.importorskip("libsumo")
@@ -151,14 +153,10 @@ def test_an_av_that_is_named_twice_is_refused():
 
 def test_serve_attacks_both(traffic, tmp_path):
     """With the networks of the package."""
-    command = [
-        sys.executable, "-m", "deepmf_sumo.cli.main", "serve", traffic(2), "--port", "0",
-        "--av", "rear", "--av", "front", "--duration", "3", "--out", tmp_path / "live",
-        "--", *OPTIONS,
-    ]  # fmt: skip
-    process = subprocess.Popen(
-        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = Command(
+        "serve", traffic(2), "--port", "0", "--av", "rear", "--av", "front", "--duration", "3",
+        "--out", tmp_path / "live", "--", *OPTIONS,
+    )  # fmt: skip
     port = re.search(r"port (\d+)", process.stderr.readline())[1]
     subprocess.run([sys.executable, "-c", CLIENT, port], check=True, timeout=120)
     shown, told = process.communicate(timeout=60)

@@ -344,6 +344,7 @@ def test_no_usable_scene_is_an_error(predictors, given):
         evaluate()
 
 
+@pytest.mark.slow_unit
 def test_the_command_shows_tables_or_json(predictors, given):
     bad = Refusal(file="a.tfrecord", record=7, name="", reason="torn [here]")
     given(*SCENES, attacked(0), bad)

@@ -102,6 +102,7 @@ def test_training_learns_and_is_read_back(monkeypatch, tmp_path):
     assert any("complete" in line for line in told)
 
 
+@pytest.mark.slow_unit
 def test_as_many_outcomes_are_inside_as_the_mass_says():
     """Outcomes drawn from the prediction itself."""
     prediction = untrained(view(), "walker")

@@ -30,6 +30,7 @@ def seen(count):
                 torch.ones(count, 7, dtype=torch.bool))  # fmt: skip
 
 
+@pytest.mark.slow_unit
 def test_components_describe_positions():
     net, clean = untrained(), torch.randn(5, COMPONENTS)
     speed = torch.linspace(0, 20, 5)
@@ -46,6 +47,7 @@ def test_noise_levels_fall_from_the_noisiest_to_none():
     assert (levels[1:] < levels[:-1]).all()
 
 
+@pytest.mark.slow_unit
 def test_unit_variance_is_drawn_from_by_the_closed_form():
     """An untrained network is the best one for independent normal components."""
     noise = torch.randn(400, COMPONENTS, generator=torch.Generator().manual_seed(1))

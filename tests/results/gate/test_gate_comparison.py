@@ -288,6 +288,7 @@ def test_what_is_shown_is_not_judged():
 QUANTITIES = ("impact_mps", "av_collision_rate", "ttc_s", "min_gap_m")
 
 
+@pytest.mark.slow_unit
 def test_false_alarms_are_rare_and_regressions_are_found():
     """A/A of 20 specs, four quantities that depend on each other: at most 5 % are alarms."""
     rng = np.random.default_rng(3)

@@ -92,6 +92,7 @@ def test_junit_of_failed_runs(tmp_path):
     assert counts == [5, 0, 0, 2]
 
 
+@pytest.mark.slow_unit
 def test_red_in_junit_means_a_bad_exit_code(tmp_path):
     """Over all mixtures of statuses and bounds: no red case with 0, no green file with 1 or 3."""
     kinds = {

@@ -46,6 +46,7 @@ def states(old, new):
     return {one.quantity: one.state for one in found}
 
 
+@pytest.mark.slow_unit
 def test_equal_planners_hardly_ever_alarm():
     """Each job compares eight numbers of 20 moments; 5 % may alarm, in either direction."""
     rng, alarms = np.random.default_rng(3), 0

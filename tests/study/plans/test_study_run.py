@@ -18,8 +18,7 @@ from deepmf_sumo.study.plans import tables
 from deepmf_sumo.study.sweep import batch
 
 from tests.support import same_bytes, tiny_plan
-
-COMMAND = (sys.executable, "-m", "deepmf_sumo.cli.main", "run")
+from tests.support.forked_workers import Command
 
 ENDED = "planner_error: the planner ended its process (SIGSEGV; see log.txt)."
 
@@ -278,11 +277,9 @@ def test_a_folder_with_other_files_is_refused(whole, tmp_path):
 def test_a_signal_ends_the_workers_too(whole, tmp_path):
     file, _ = whole
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        [*COMMAND, file, "--out", out, "--set", "sweep.figures=false"],
-        stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+    process = Command("run", file, "--out", out, "--set", "sweep.figures=false")
     _wait_for_runs(process, out, 0)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(30) in {0, 130}
+    process.communicate(30)
+    assert process.returncode in {0, 130}
     assert (out / "table.csv").is_file()

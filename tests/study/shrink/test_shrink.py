@@ -91,7 +91,7 @@ def again(file, out):
 
 def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_path, capsys):
     file = tmp_path / "small.yaml"
-    assert main.run(["shrink", str(hit), "--out", str(file), "--simulations", "20"]) == 0
+    assert main.run(["shrink", str(hit), "--out", str(file), "--simulations", "12"]) == 0
     said = capsys.readouterr()
     assert "road users -> 2" in said.out
     assert "repeated byte for byte" in said.out
@@ -112,8 +112,8 @@ def test_a_hit_is_shrunk_and_fails_again_and_a_careful_planner_passes(hit, tmp_p
 
 def test_nothing_gets_larger_and_the_budget_is_kept(hit):
     failure = shrink.read(hit)
-    found = shrink.shrink(failure, 8)
-    assert found.simulations == 8
+    found = shrink.shrink(failure, 5)
+    assert found.simulations == 5
     assert not found.finished
     assert found.best.hit
     assert found.best.steps <= failure.contact
@@ -145,7 +145,7 @@ def test_a_hit_on_a_recording_is_shrunk(tmp_path):
     (tmp_path / "spec.yaml").write_text(yaml.safe_dump(spec))
     [run] = api.run(tmp_path / "spec.yaml", tmp_path / "out").runs
     assert run.hit
-    found = shrink.shrink(shrink.read(run.folder), 15)
+    found = shrink.shrink(shrink.read(run.folder), 10)
     shrink.write(found, tmp_path / "small.yaml")
     assert found.best.road_users == 2
     assert found.best.values["source"]["start_s"] > 0.5
