@@ -4,10 +4,12 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Final
+
+from deepmf_sumo import system
 
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 _IDLE_S: Final = 5.0
@@ -25,6 +27,7 @@ class Leaving:
 
     def __init__(self) -> None:
         self.terminated = False
+        self.ticks = system.Ticks(self._idle)
         self._asked = False
         self._alive_s = time.monotonic()
 
@@ -41,20 +44,13 @@ class Leaving:
         self._alive_s = time.monotonic()
         if number == signal.SIGTERM:
             self.terminated = True
-            _tick(_LOOK_S)
+            self.ticks.every(_LOOK_S)
         elif sys.stderr.isatty():
             os.write(sys.stderr.fileno(), _HINT)
 
-    def look(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - of `signal`
-        """Now and then after SIGTERM: raise KeyboardInterrupt where no step comes."""
-        if time.monotonic() - self._alive_s > _IDLE_S:
-            _tick(0.0)
-            raise KeyboardInterrupt
-
-
-def _tick(every_s: float) -> None:
-    if hasattr(signal, "setitimer"):  # not on Windows
-        signal.setitimer(signal.ITIMER_REAL, every_s, every_s)
+    def _idle(self) -> bool:
+        """Now and then after SIGTERM: whether no step comes, so that it is left immediately."""
+        return time.monotonic() - self._alive_s > _IDLE_S
 
 
 @contextmanager
@@ -64,13 +60,10 @@ def leaving() -> Iterator[Leaving]:
     So does a single SIGTERM while the script makes no step.
     """
     asked = Leaving()
-    handlers: dict[int, Callable[[int, FrameType | None], None]] = dict.fromkeys(SIGNALS, asked.ask)
-    if hasattr(signal, "SIGALRM"):
-        handlers[signal.SIGALRM] = asked.look
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    before = {number: signal.signal(number, asked.ask) for number in SIGNALS}
     try:
         yield asked
     finally:
-        _tick(0.0)
+        asked.ticks.close()
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import click
 
 import deepmf_sumo
+from deepmf_sumo import system
 from deepmf_sumo.errors import UsageError, exit_code
 
 if TYPE_CHECKING:
@@ -106,9 +107,8 @@ def _check_gui(executor: str) -> None:
         raise UsageError(
             f"sweep.gui shows runs on this machine: leave sweep.executor={executor} out."
         )
-    needs_one = sys.platform not in {"win32", "darwin"}
     display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
-    if needs_one and not display:  # the run would wait for sumo-gui for ever
+    if system.NEEDS_DISPLAY and not display:  # the run would wait for sumo-gui for ever
         raise UsageError(
             "sweep.gui: there is no display (DISPLAY is not set); leave it out, or put xvfb-run -a"
             " before the command."
@@ -194,9 +194,8 @@ def exit_code_of(sweep: Sweep, results: "Sequence[Result]", missing: int) -> int
     """
     from deepmf_sumo.results import folder
     from deepmf_sumo.study.sweep import batch
-    from deepmf_sumo.study.sweep.workers import watched
 
-    if not watched():
+    if not system.memory_known():
         click.echo("deepmf-sumo: this system does not show memory: no limit of memory", err=True)
     endings: set[Ending] = set(batch.endings(results))
     exported = _all_exported(sweep, results)

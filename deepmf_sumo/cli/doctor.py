@@ -1,6 +1,7 @@
 """``deepmf-sumo doctor``: whether everything that a run needs is installed and fits together."""
 
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 
 import click
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import exit_code
 
 _MARKS: Final = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "broken": ("BAD", "red")}
@@ -38,6 +40,7 @@ def command(ctx: click.Context, weights: tuple[str, ...]) -> None:
     click.echo(f"deepmf-sumo {deepmf_sumo.__version__}")
     checks: dict[str, Callable[[], CheckResult]] = {
         "Python": python,
+        "system": system_calls,
         "SUMO packages": sumo_versions,
         "libsumo": libsumo,
         "netconvert": netconvert,
@@ -119,8 +122,17 @@ _CGROUP: Final = Path("/sys/fs/cgroup/memory.max")
 
 def cores() -> CheckResult:
     """Cores that this process may use, for --jobs."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return CheckResult("ok", f"{usable or 1}: --jobs {usable or 1}")
+    usable = system.cores()
+    return CheckResult("ok", f"{usable}: --jobs {usable}")
+
+
+def system_calls() -> CheckResult:
+    """What the operating system can do, and what is done where it cannot."""
+    lacking = [f"no {one.name}: {one.instead}" for one in system.abilities() if not one.there]
+    name = f"{platform.system()} {platform.machine()}"
+    if not lacking:
+        return CheckResult("ok", f"{name}: all that runs can use")
+    return CheckResult("warning", f"{name}: {'; '.join(lacking)} (results are the same)")
 
 
 def memory() -> CheckResult:
@@ -236,7 +248,7 @@ def netconvert() -> CheckResult:
 def sumo_gui() -> CheckResult:
     """Whether `sweep.gui` can work: a program and a display."""
     found = _program("sumo-gui", "warning", "sweep.gui does not work")
-    if found.state != "ok" or sys.platform in {"win32", "darwin"}:
+    if found.state != "ok" or not system.NEEDS_DISPLAY:
         return found
     display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     if display:
@@ -287,7 +299,7 @@ def libraries() -> CheckResult:
 def _program(name: str, failed: State, consequence: str) -> CheckResult:
     good, text = probe(_PROGRAMS)
     if good:
-        file = f"{name}.exe" if sys.platform == "win32" else name
+        file = f"{name}{system.PROGRAM_SUFFIX}"
         good, text = ended([str(Path(text) / "bin" / file), "--version"], PROGRAM_S)
     return CheckResult("ok", "starts") if good else CheckResult(failed, f"{consequence}: {text}")
 

@@ -27,6 +27,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final, Literal
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.live.kept_files import SET_GUI, SET_SIMULATION, KeptFiles, RefusedError, framed
 from deepmf_sumo.live.observer import MARK
@@ -98,12 +99,7 @@ class Wire:
     @property
     def gone(self) -> bool:
         """Whether the other side has closed, also where there is something left to read."""
-        if not hasattr(select, "poll"):  # on Windows
-            return False
-        ends = getattr(select, "POLLRDHUP", 0) | select.POLLHUP | select.POLLERR
-        look = select.poll()
-        look.register(self._socket, ends)
-        return any(event & ends for _, event in look.poll(0))
+        return system.hung_up(self._socket)
 
     def _first(self, meanwhile: Callable[[], None] | None) -> bytes:
         """The first piece of a message; empty where the other side has closed."""
@@ -113,7 +109,7 @@ class Wire:
             while time.monotonic() < end:
                 with contextlib.suppress(BlockingIOError):
                     return self._socket.recv(_PIECE)
-                _yield()
+                system.yield_core()
         finally:
             self._socket.setblocking(True)
         while meanwhile is not None and not select.select([self._socket], [], [], _LOOK_S)[0]:
@@ -131,11 +127,6 @@ class Wire:
                 raise ProtocolError("it left in the middle of a message")
             found += piece
         return bytes(found)
-
-
-def _yield() -> None:
-    """Let another process have this core; Windows has no call of that name."""
-    getattr(os, "sched_yield", lambda: time.sleep(0))()
 
 
 def relay(
@@ -182,7 +173,7 @@ def _serve(
             tell("complaint", f"SUMO was ended: {error}")
             tell("stuck")  # before it ends: `attach` sees that immediately
             tell("left")
-            os.kill(pids[0], getattr(signal, "SIGKILL", signal.SIGTERM))  # it may heed no other
+            system.kill(pids[0])  # it may heed no other
         except (OSError, EOFError) as error:
             tell("complaint", f"the connection broke off: {error}")
             tell("left")
@@ -324,7 +315,7 @@ def _end_with_parent(pids: list[int]) -> None:
         with contextlib.suppress(OSError):
             os.kill(pids[0], signal.SIGTERM)
             time.sleep(_END_S)  # it does not listen while it waits for clients
-            os.kill(pids[0], getattr(signal, "SIGKILL", signal.SIGTERM))
+            system.kill(pids[0])
         os._exit(1)
 
 

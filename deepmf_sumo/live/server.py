@@ -9,13 +9,13 @@ import json
 import multiprocessing
 import socket
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.live.relay import Said, relay
 from deepmf_sumo.sumo.network import sumo_tools
@@ -224,7 +224,7 @@ def _without_ports(arguments: Sequence[str], *, gui: bool) -> list[str]:
 
 def _listening(port: int) -> socket.socket:
     listener = socket.socket()
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(sys.platform != "win32"))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(system.REUSES_PORTS))
     try:
         listener.bind(("localhost", port))
     except OSError as error:

@@ -18,8 +18,14 @@ from deepmf_sumo.scene.geometry.frames import TURNED_RAD
 
 _OVERSHOOT_MPS: Final = 1.0
 """A planner that brakes to a stop by full steps ends up to this far below 0, which counts as 0."""
-_inside: Final = mmap.mmap(-1, 1)
+_inside = mmap.mmap(-1, 1)
 """Whether a planner's code is running; copies of this process share the flag."""
+
+
+def share(flag: mmap.mmap) -> None:
+    """Keep the flag where another process sees it, which has no copy of this one's memory."""
+    global _inside  # noqa: PLW0603
+    _inside = flag
 
 
 def at_work() -> bool:

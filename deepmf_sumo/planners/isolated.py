@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from deepmf_sumo import plugins
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.planners.remote.client import RemotePlanner, RemoteSettings
-from deepmf_sumo.planners.remote.process import Process
+from deepmf_sumo.planners.remote.process import started
 
 
 class Settings(RemoteSettings):
@@ -46,4 +46,4 @@ def build(settings: Settings) -> RemotePlanner:
         *("--path", os.pathsep.join(sys.path)),
     ]
     name = f"planner '{settings.planner}'"
-    return RemotePlanner(name, settings, partial(Process, name, command))
+    return RemotePlanner(name, settings, partial(started, name, command))

@@ -15,7 +15,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from deepmf_sumo.planners.remote.client import RemotePlanner, RemoteSettings
-from deepmf_sumo.planners.remote.process import Process, command_of
+from deepmf_sumo.planners.remote.process import command_of, started
 
 
 class Settings(RemoteSettings):
@@ -50,4 +50,4 @@ def build(settings: Settings) -> RemotePlanner:
     """The planner."""
     command = command_of(settings.file, settings.command, settings.arguments)
     name = f"program '{Path(settings.file or command[0]).name}'"
-    return RemotePlanner(name, settings, partial(Process, name, command))
+    return RemotePlanner(name, settings, partial(started, name, command))

@@ -21,7 +21,7 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import deepmf_sumo
-from deepmf_sumo import files, tables
+from deepmf_sumo import files, system, tables
 from deepmf_sumo.deepmf.networks.weights import runtime_and_device
 from deepmf_sumo.errors import OutputError, UsageError
 from deepmf_sumo.results import findings, junit, result, statistics, stored
@@ -29,11 +29,6 @@ from deepmf_sumo.results.quantities import unit, worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.spec.tasks import Task
-
-try:
-    import fcntl
-except ImportError:  # Windows has other locks
-    fcntl = None  # type: ignore[assignment]
 
 FILE: Final = ".lock"
 
@@ -51,8 +46,12 @@ def held(folder: Path) -> Iterator[None]:
         yield
     finally:
         # removed while it is held: a process that has opened it meanwhile sees that it is gone
-        (folder / FILE).unlink(missing_ok=True)
+        if system.REMOVES_OPEN_FILES:
+            (folder / FILE).unlink(missing_ok=True)
         os.close(number)
+        if not system.REMOVES_OPEN_FILES:
+            with suppress(PermissionError):  # another sweep has opened it
+                (folder / FILE).unlink(missing_ok=True)
 
 
 def known(folder: Path) -> bool:
@@ -60,10 +59,10 @@ def known(folder: Path) -> bool:
     probe = folder / f"{FILE}.{os.getpid()}"
     number = os.open(probe, os.O_RDWR | os.O_CREAT)
     try:
-        return _lock(number)
+        return system.lock(number)
     finally:
-        probe.unlink(missing_ok=True)
         os.close(number)
+        probe.unlink(missing_ok=True)
 
 
 def _locked(file: Path) -> int:
@@ -71,7 +70,7 @@ def _locked(file: Path) -> int:
     while True:
         number = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _lock(number)
+            system.lock(number)
             if _is(file, number):
                 break
         except BlockingIOError:
@@ -85,19 +84,6 @@ def _locked(file: Path) -> int:
     os.ftruncate(number, 0)
     os.write(number, f"process {os.getpid()} of {socket.gethostname()}\n".encode())
     return number
-
-
-def _lock(number: int) -> bool:
-    """Lock an open file; False where there are no locks. Raises BlockingIOError if it is taken."""
-    if fcntl is None:
-        return False
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise
-    except OSError:  # e.g. ENOLCK of a network's file system
-        return False
-    return True
 
 
 def _is(file: Path, number: int) -> bool:

@@ -22,7 +22,7 @@ from deepmf_sumo.judge.metrics.traffic_conflicts import (
     find,
 )
 from deepmf_sumo.roadcheck.motion_survey import Survey, Surveyed, survey
-from deepmf_sumo.study.sweep import workers
+from deepmf_sumo.study.sweep import streams, workers
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
 TRAJECTORIES: Final = "traffic.trj"
@@ -148,7 +148,7 @@ def observe(
 
 def _observe(task: _Task) -> None:
     """The worker's part."""
-    workers.silence()  # what SUMO prints is in its errors, too
+    streams.silence()  # what SUMO prints is in its errors, too
     try:
         seen = survey(task.wanted)
         if task.trajectories is not None:

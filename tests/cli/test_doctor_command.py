@@ -5,6 +5,7 @@ from importlib import metadata
 
 import pytest
 
+from deepmf_sumo import system
 from deepmf_sumo.cli import doctor, main
 from deepmf_sumo.cli.doctor import CheckResult
 
@@ -30,6 +31,16 @@ def test_a_check_that_fails_itself_is_a_finding():
         raise KeyError("oops")
 
     assert doctor.look(check) == CheckResult("broken", "KeyError: 'oops'")
+
+
+def test_what_the_system_lacks_is_shown_with_what_is_done_instead(monkeypatch):
+    assert doctor.system_calls().state == "ok"
+    few = (system.Ability("wings", False, "it walks"), system.Ability("legs", True, "it rests"))
+    monkeypatch.setattr(system, "abilities", lambda: few)
+    found = doctor.system_calls()
+    assert found.state == "warning"
+    assert "no wings: it walks (" in found.text
+    assert "legs" not in found.text
 
 
 def test_sumo_packages_of_two_versions(monkeypatch):

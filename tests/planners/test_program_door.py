@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepmf_sumo import plugins
+from deepmf_sumo import plugins, system
 from deepmf_sumo.errors import PlannerError, PluginError, SimulationError
 from deepmf_sumo.planners import idm, isolated, program
 from deepmf_sumo.planners.remote.process import Process
@@ -95,6 +95,12 @@ def test_a_hostile_program_is_a_clear_error_and_leaves_nobody(config, tmp_path, 
     assert ("ZeroDivisionError: a bug of the program" in err) == (how == "raise")
 
 
+@pytest.mark.parametrize("how", ["raise", "hang", "exit", "close_stdout", "not_json", "huge_line"])
+def test_threads_tell_of_a_program_what_polling_tells(config, tmp_path, how, monkeypatch, capfd):
+    monkeypatch.setattr(system, "POLLS", False)
+    test_a_hostile_program_is_a_clear_error_and_leaves_nobody(config, tmp_path, how, capfd)
+
+
 def test_the_step_after_a_failed_episode_is_a_new_program(config):
     planner = program.build(settings(file=str(HOSTILE), arguments=["exit"]))
     with pytest.raises(PlannerError):
@@ -104,7 +110,9 @@ def test_the_step_after_a_failed_episode_is_a_new_program(config):
     assert running(str(HOSTILE)) == []
 
 
-def test_the_same_idm_through_the_door_drives_the_same(config):
+@pytest.mark.parametrize("polls", [True, False])
+def test_the_same_idm_through_the_door_drives_the_same(config, polls, monkeypatch):
+    monkeypatch.setattr(system, "POLLS", polls)
     values = {"perception": "corridor"}
     direct = drive(config, idm.build(idm.Settings(**values)), 60)
     door = isolated.Settings(planner="idm", settings=values, history_steps=1, step_budget_s=10.0)

@@ -1,11 +1,13 @@
 """One sweep a folder, whatever becomes of the sweep."""
 
 import errno
+import fcntl
 import subprocess
 import sys
 
 import pytest
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.results import folder
 
@@ -57,7 +59,7 @@ def test_the_folder_is_free_after_an_error(tmp_path):
 
 
 def test_a_lock_that_was_removed_meanwhile_is_none(tmp_path, monkeypatch):
-    lock, times = folder._lock, []
+    lock, times = system.lock, []
 
     def removed_first(number):
         if not times:
@@ -65,7 +67,7 @@ def test_a_lock_that_was_removed_meanwhile_is_none(tmp_path, monkeypatch):
         times.append(number)
         return lock(number)
 
-    monkeypatch.setattr(folder, "_lock", removed_first)
+    monkeypatch.setattr(system, "lock", removed_first)
     with folder.held(tmp_path):
         assert (tmp_path / folder.FILE).read_text().startswith("process ")
     assert len(times) == 2
@@ -77,7 +79,7 @@ def test_file_systems_without_locks_are_known_and_used_all_the_same(tmp_path, mo
     def refuse(number, how):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(folder.fcntl, "flock", refuse)
+    monkeypatch.setattr(fcntl, "flock", refuse)
     assert not folder.known(tmp_path)
     with folder.held(tmp_path):
         pass

@@ -1,20 +1,18 @@
 """Reading in a separate process with limits: a bad file can only end that process.
 
-The process is a copy of this one (`os.fork`), so it starts in milliseconds. It returns one item at
-a time. On systems other than Linux the file is read in this process, without limits.
+The process is a copy of this one, so it starts in milliseconds. It returns one item at a time.
+Where the system cannot do that (`system.limits_reading`) the file is read in this process, without
+limits.
 """
 
 import contextlib
-import ctypes
 import gc
 import os
 import pickle
-import signal
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Final, NoReturn, TypeVar
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import DeepmfError, ReaderError
 
 CPU_S: Final = 4.0
@@ -24,7 +22,6 @@ MEMORY_MB: Final = 384
 TOO_LARGE: Final = f"reading it takes more than {MEMORY_MB} MB"
 
 _TOO_SLOW: Final = f"reading it takes more than {CPU_S:g} s of CPU time"
-_PR_SET_PDEATHSIG: Final = 1
 _ITEM, _END, _ERROR = range(3)
 
 T = TypeVar("T")
@@ -40,12 +37,12 @@ def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
     Closing the iterator ends the process. After the items before them it raises every DeepmfError
     of the process, and EndedError if the process exceeds the limits.
     """
-    if sys.platform != "linux":
+    if not system.limits_reading():
         yield from work()
         return
     ours, theirs = os.pipe()
     here = os.getpid()
-    pid = os.fork()
+    pid = system.fork()
     if pid == 0:
         os.close(ours)
         _work(work, theirs, here)
@@ -67,16 +64,15 @@ def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
                 yield value
     finally:
         if status is None:
-            os.kill(pid, signal.SIGKILL)
+            system.kill(pid)
             os.waitpid(pid, 0)
     raise EndedError(_reason(os.waitstatus_to_exitcode(status)))
 
 
 def _reason(code: int) -> str:
-    if code == -signal.SIGPROF:
+    if system.ended_by_cpu(code):
         return _TOO_SLOW
-    name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-    return f"reading it ended the process ({name})"
+    return f"reading it ended the process ({system.ending(code)})"
 
 
 def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
@@ -92,33 +88,22 @@ def _work(work: Callable[[], Iterator[T]], pipe: int, parent: int) -> NoReturn:
 
 
 def _limit(parent: int) -> None:
-    import resource  # not on Windows, where this function is not called
-
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
+    system.end_with_parent()
+    if not system.is_child_of(parent):
         os._exit(1)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
-        signal.signal(number, signal.SIG_DFL)
+    system.default_signals()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # hides the output of a crash, which is reported
     gc.freeze()  # otherwise the first collection touches, and so copies, all objects
-    status = Path("/proc/self/status").read_text("ascii", "replace")
-    # what the limit counts; statm adds the stack
-    present_kb = int(status.partition("VmData:")[2].split(maxsplit=1)[0])
-    most = present_kb * 2**10 + MEMORY_MB * 2**20
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(
-        resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
-    )
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    system.limit_memory(MEMORY_MB)
 
 
 def _hand_over(work: Callable[[], Iterator[T]], pipe: int) -> None:
-    signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    system.limit_cpu(CPU_S)
     try:
         for item in work():
             _say(pipe, _ITEM, item)
             del item
-            signal.setitimer(signal.ITIMER_PROF, CPU_S)
+            system.limit_cpu(CPU_S)
         _say(pipe, _END, None)
     except DeepmfError as error:
         _say(pipe, _ERROR, error)

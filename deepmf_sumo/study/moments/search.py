@@ -35,7 +35,7 @@ from deepmf_sumo.study.moments.moment import (
     check_times,
 )
 from deepmf_sumo.study.moments.promising import POOL
-from deepmf_sumo.study.sweep import workers
+from deepmf_sumo.study.sweep import streams, workers
 from deepmf_sumo.sumo.network.sumo_net import NetFile, read_once
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.sumo.simulation import demand
@@ -146,7 +146,7 @@ def find(
 
 def _search(search: _Search) -> None:
     """The worker's part."""
-    workers.silence()  # what SUMO prints is in its errors, too
+    streams.silence()  # what SUMO prints is in its errors, too
     scouting = search.scouting
     try:
         sightings = scout(scouting)

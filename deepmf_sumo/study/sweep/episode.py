@@ -58,7 +58,7 @@ from deepmf_sumo.spec import Expect, FromNetwork, FromRecording
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.moments import made_people
 from deepmf_sumo.study.sweep import fork
-from deepmf_sumo.study.sweep.fork import logged
+from deepmf_sumo.study.sweep.streams import logged
 from deepmf_sumo.sumo import network, simulation
 from deepmf_sumo.sumo.simulation import sumo_api
 
@@ -322,7 +322,7 @@ def _with_people(task: Task, case: Case) -> tuple[Case, tuple[Event, ...]]:
     if not isinstance(source, FromNetwork) or not source.people.made:
         return case, ()
     assert isinstance(case, TrafficCase)
-    rollout = fork.tried(task, lambda: simulation.plain(case), case)
+    rollout = fork.tried(task, functools.partial(simulation.plain, case), case)
     rng = np.random.default_rng([*task.entropy(), crc32(b"people")])
     drawn = made_people.drawn(case, source.people, rollout, rng)
     nobody = (
@@ -344,7 +344,7 @@ def _with_unattacked(task: Task, case: Case) -> tuple[Case, Rollout | None]:
     logged = isinstance(case, RecordedCase) and case.traffic == "log"
     if logged or task.spec.adversary.name == "none":
         return case, None
-    rollout = fork.tried(task, lambda: _simulated(task, case, None), case)
+    rollout = fork.tried(task, functools.partial(_simulated, task, case, None), case)
     return replace(case, unattacked=rollout.tracks), rollout
 
 
@@ -364,6 +364,14 @@ def _simulated(
     return rollout
 
 
+def _keeping(
+    task: Task, case: Case, policy: Policy | None, kept: tuple[str, ...]
+) -> tuple[Rollout, list[Any]]:
+    """An episode, and what the policy keeps of it, by name."""
+    rollout = _simulated(task, case, policy)
+    return rollout, [getattr(policy, name) for name in kept]
+
+
 def attack_case(
     task: Task, case: Case, *, gui: bool = False, planner: Planner | None = None
 ) -> Attack:
@@ -378,10 +386,7 @@ def attack_case(
     def one_of_several(policy: Policy | None) -> Rollout:
         assert isinstance(case, TrafficCase)
         kept: tuple[str, ...] = getattr(policy, "KEPT", ())
-
-        def episode() -> tuple[Rollout, list[Any]]:
-            return simulate(policy), [getattr(policy, name) for name in kept]
-
+        episode = functools.partial(_keeping, task, case, policy, kept)
         rollout, values = fork.tried(task, episode, case)
         for name, value in zip(kept, values, strict=True):
             setattr(policy, name, value)

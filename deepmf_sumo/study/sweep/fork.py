@@ -12,14 +12,12 @@ ended.
 """
 
 import contextlib
+import functools
 import gc
-import io
 import math
 import multiprocessing
 import os
-import pickle
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,36 +25,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, NoReturn, TypeVar
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners import _checked
-from deepmf_sumo.planners.remote import reaper
 from deepmf_sumo.scene import Case, RecordedCase, TrafficCase, VehicleModel
 from deepmf_sumo.spec import FromNetwork
 from deepmf_sumo.spec.tasks import Task
-from deepmf_sumo.study.sweep import workers
+from deepmf_sumo.study.sweep import spawn
+from deepmf_sumo.study.sweep.streams import logged
 from deepmf_sumo.sumo import simulation
-
-
-@contextlib.contextmanager
-def logged(path: Path) -> Iterator[None]:
-    """Redirect standard output and error to a file, those of SUMO included."""
-    with path.open("wb") as log:
-        kept = [os.dup(number) for number in (1, 2)]
-        _flush()
-        for number in (1, 2):
-            os.dup2(log.fileno(), number)
-        try:
-            yield
-        finally:
-            _flush()
-            for number, copy in zip((1, 2), kept, strict=True):
-                os.dup2(copy, number)
-                os.close(copy)
-
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +79,9 @@ def pass_on(task: Task, work_of: WorkOf, load: Callable[[], object]) -> bool:
     """
     global _passage  # noqa: PLW0603
     what, source = passage(task), task.spec.source
+    if what is not None and not system.COPIES:
+        _spawned(work_of(task).run)
+        return True
     if what is None or not isinstance(source, FromNetwork) or not _alone():
         end_passage()
         return False
@@ -142,6 +122,9 @@ def apart(load: Callable[[], object], work: Callable[[], None]) -> bool:
 
     False: nothing was done, since the process has threads, which copies lack.
     """
+    if not system.COPIES:
+        _spawned(work)
+        return True
     end_passage()
     _quietly(load)
     if not _alone():
@@ -159,10 +142,11 @@ class _Passage:
 
     def __init__(self, what: object, work_of: WorkOf) -> None:
         self.what, self.start_s = what, -math.inf
-        self._pipe, theirs = multiprocessing.Pipe()
+        pipe: tuple[Any, Any] = multiprocessing.Pipe()  # of other types on Windows
+        self._pipe, theirs = pipe
         here = os.getpid()
         with _frozen():
-            self._pid = os.fork()
+            self._pid = system.fork()
             if self._pid == 0:
                 self._pipe.close()
                 _serve(theirs, work_of, here)
@@ -177,7 +161,7 @@ class _Passage:
         except (EOFError, OSError):
             _, status = os.waitpid(self._pid, 0)
             self.end()
-            _die(os.waitstatus_to_exitcode(status))
+            system.end_as(os.waitstatus_to_exitcode(status))
         if said is not None:
             raise said
 
@@ -186,7 +170,7 @@ class _Passage:
         self._pipe.close()
         with contextlib.suppress(ChildProcessError):
             os.waitpid(self._pid, 0)
-        reaper.end_all(self._pid)
+        system.end_all(self._pid)
 
 
 _passage: _Passage | None = None  # of this worker: at most one at a time
@@ -244,11 +228,11 @@ def _held(make_case: Callable[[], Case], model: VehicleModel | None) -> bool:
 
 def _alone() -> bool:
     """Whether a copy of this process is complete: threads are not copied."""
-    if sys.platform != "linux":
+    if not system.COPIES:
         return False
     threads = threading.enumerate()
-    known = all(one is threading.main_thread() or one.name == workers.WATCHER for one in threads)
-    return known and sum(1 for _ in Path("/proc/self/task").iterdir()) == len(threads)
+    known = all(one is threading.main_thread() or one.name == spawn.WATCHER for one in threads)
+    return known and system.threads_of_this_process() == len(threads)
 
 
 def tried(task: Task, simulate: Callable[[], T], case: Case) -> T:
@@ -258,6 +242,9 @@ def tried(task: Task, simulate: Callable[[], T], case: Case) -> T:
     process is not a copy itself, or has threads, the episode is simulated here; that of a recording
     is in a copy anyway, so that the attack begins in the same process as its unattacked episode.
     """
+    if not system.COPIES:
+        alone = _is_copy or isinstance(case, RecordedCase)
+        return _spawned(simulate, case.road) if alone else simulate()
     if isinstance(case, RecordedCase):
         return _copied(simulate, case.road) if _alone() else simulate()
     if not _is_copy or not _alone():
@@ -284,51 +271,45 @@ def _copied(work: Callable[[], T], shared: object = None) -> T:
     ``shared``: an object that both have already.
     """
     here = os.getpid()
-    with os.fdopen(os.memfd_create("answer"), "w+b") as answer:  # on no disk that may be full
+    with os.fdopen(system.memory_file("answer"), "w+b") as answer:  # on no disk that may be full
         with _leaving_none(), _frozen():
-            pid = os.fork()
+            pid = system.fork()
             if pid == 0:
                 _work(work, answer, here, shared)
             _, status = os.waitpid(pid, 0)
-            reaper.end_all(pid)
+            system.end_all(pid)
         answer.seek(0)
         said = answer.read()
-    blamed = _checked.at_work()
-    if not said and blamed:
-        reason = f"the planner ended its process ({_ending(status)}; see log.txt)."
-        raise PlannerError(reason, kind="crashed")
-    if not said:
-        _die(os.waitstatus_to_exitcode(status))
-    ended = _Answer(io.BytesIO(said), shared).load()  # its own copy said it
-    if isinstance(ended, Exception):
-        raise ended
-    models, found = ended
+    code = os.waitstatus_to_exitcode(status)
+    models, found = _told(spawn.Ended(said, code, _checked.at_work()), shared)
     _models.update(models)
     return found
 
 
-class _Question(pickle.Pickler):
-    """Pickles an answer, but not what both processes have."""
-
-    def __init__(self, file: IO[bytes], shared: object) -> None:
-        super().__init__(file, pickle.HIGHEST_PROTOCOL)
-        self._shared = shared
-
-    def persistent_id(self, one: object) -> str | None:
-        """A name for the shared object."""
-        return "shared" if one is self._shared and one is not None else None
+def _spawned(work: Callable[[], T], shared: object = None) -> T:
+    """As `_copied`, in a new process: the work must be picklable."""
+    ended = spawn.run(functools.partial(_as_copy, work), shared)
+    return _told(ended, shared)
 
 
-class _Answer(pickle.Unpickler):
-    """The other side of `_Question`."""
+def _as_copy(work: Callable[[], T]) -> T:
+    """Work in a new process, which is used as a copy is."""
+    global _is_copy  # noqa: PLW0603
+    _is_copy = True
+    return work()
 
-    def __init__(self, file: IO[bytes], shared: object) -> None:
-        super().__init__(file)
-        self._shared = shared
 
-    def persistent_load(self, name: object) -> object:  # noqa: ARG002 - there is one
-        """The shared object."""
-        return self._shared
+def _told(ended: spawn.Ended, shared: object) -> Any:
+    """What a process returned; raises what it raised, dies as it died."""
+    if not ended.answer and ended.blamed:
+        reason = f"the planner ended its process ({system.ending(ended.code)}; see log.txt)."
+        raise PlannerError(reason, kind="crashed")
+    if not ended.answer:
+        system.end_as(ended.code)
+    found = spawn.unpacked(ended.answer, shared)
+    if isinstance(found, Exception):
+        raise found
+    return found
 
 
 @contextlib.contextmanager
@@ -344,25 +325,20 @@ def _frozen() -> Iterator[None]:
 @contextlib.contextmanager
 def _leaving_none() -> Iterator[None]:
     """While a copy works: a signal that ends this process ends the copy and its descendants."""
-    reaper.adopt()
+    system.adopt()
     before = signal.signal(signal.SIGTERM, _leave)
-    workers.end_with_parent(signal.SIGTERM)
+    system.end_with_parent(signal.SIGTERM)
     try:
         yield
     finally:
-        workers.end_with_parent()
+        system.end_with_parent()
         signal.signal(signal.SIGTERM, before)
 
 
 def _leave(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it
-    for child in reaper.children():
-        reaper.end_all(child)
+    for child in system.children():
+        system.end_all(child)
     os._exit(1)
-
-
-def _ending(status: int) -> str:
-    code = os.waitstatus_to_exitcode(status)
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 def _work(work: Callable[[], object], answer: IO[bytes], parent: int, shared: object) -> NoReturn:
@@ -371,11 +347,11 @@ def _work(work: Callable[[], object], answer: IO[bytes], parent: int, shared: ob
     code, said = 1, b""
     try:
         found = work()
-        code, said = 0, _pickled((_models, found), shared)
+        code, said = 0, spawn.packed((_models, found), shared)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
     except Exception as error:  # noqa: BLE001 - raised again in the waiting worker
-        said = _pickled(error, shared)
+        said = spawn.packed(error, shared)
     finally:
         with contextlib.suppress(OSError, ValueError):  # a hostile planner may have closed it
             answer.write(said)
@@ -383,27 +359,12 @@ def _work(work: Callable[[], object], answer: IO[bytes], parent: int, shared: ob
         os._exit(code)
 
 
-def _pickled(one: object, shared: object) -> bytes:
-    file = io.BytesIO()
-    _Question(file, shared).dump(one)
-    return file.getvalue()
-
-
 def _begin_life(parent: int) -> None:
     """As a copy begins: in a group of its own, so that all of it can be ended together."""
     global _is_copy  # noqa: PLW0603
     _is_copy = True
-    os.setpgid(0, 0)
+    system.own_group()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    workers.end_with_parent()
-    if os.getppid() != parent:
+    system.end_with_parent()
+    if not system.is_child_of(parent):
         os._exit(1)
-
-
-def _die(code: int) -> NoReturn:
-    """End this process with an exit code, or by a signal where it is negative."""
-    if code < 0:
-        with contextlib.suppress(OSError, ValueError):  # of SIGKILL it cannot be set
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(code)

@@ -8,11 +8,9 @@ do: torch reserves gigabytes that it never touches.
 """
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections import deque
@@ -24,58 +22,10 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, TypeVar
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.spec.tasks import Task
-
-_PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 2**20 if hasattr(os, "sysconf") else 0.0
-
-
-def watched() -> bool:
-    """Whether this system shows the memory of processes (Linux does)."""
-    return Path("/proc/self/statm").is_file()
-
-
-def more_than(limit_mb: float, pid: int) -> bool:
-    """Whether a process and its descendants hold more; shared memory counts once.
-
-    That takes milliseconds, so it is measured only where counting shared memory twice is too much.
-    """
-    family = list(_family(pid))
-    return sum(map(_resident_mb, family)) > limit_mb and sum(map(_own_mb, family)) > limit_mb
-
-
-def _family(pid: int) -> Iterator[int]:
-    yield pid
-    for child in _children(pid):
-        yield from _family(child)
-
-
-def _resident_mb(pid: int) -> float:
-    """Memory of one process; 0 if it is gone."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1]) * _PAGE_MB
-    except (OSError, IndexError):
-        return 0.0
-
-
-def _own_mb(pid: int) -> float:
-    """Memory of one process, each page divided among the processes that hold it."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text("ascii").splitlines()
-    except OSError:
-        return _resident_mb(pid)
-    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
-
-
-def _children(pid: int) -> list[int]:
-    found: list[int] = []
-    try:
-        for thread in Path(f"/proc/{pid}/task").iterdir():
-            found += map(int, (thread / "children").read_text("ascii").split())
-    except OSError:
-        return found
-    return found
-
+from deepmf_sumo.study.sweep.spawn import WATCHER
 
 START_LIMIT_S: Final = 300.0
 """Seconds that a worker may take to load its libraries."""
@@ -97,11 +47,6 @@ _LAST_WORDS_S: Final = 5.0
 
 _LEAVE_S: Final = 2.0
 """Time for a worker to end by itself, before it is killed."""
-
-WATCHER: Final = "watches the parent"
-"""A thread of every worker, which sleeps and holds no lock."""
-
-_PR_SET_PDEATHSIG: Final = 1
 
 Status = Literal["done", "raised", "crashed", "timeout", "memory", "lost"]
 T = TypeVar("T")
@@ -201,10 +146,12 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process: BaseProcess = context.Process(
-            target=_serve, args=(theirs, self.work, os.getpid()), daemon=True
+            target=_serve,
+            args=(theirs, self.work, os.getpid()),
+            daemon=system.COPIES,  # what is one cannot start processes, see `spawn`
         )
         resource_tracker.ensure_running()  # starting it would let interrupts through
-        with _environment(SINGLE_THREAD), _interrupts_held_back():
+        with _environment(SINGLE_THREAD), system.interrupts_held_back():
             self.process.start()
         theirs.close()
 
@@ -259,18 +206,19 @@ class Worker:
         """Of the limit."""
         if not self.memory_mb or not self.process.pid:
             return False
-        return more_than(share * self.memory_mb, self.process.pid)
+        return system.holds_more_than(share * self.memory_mb, self.process.pid)
 
     def kill(self) -> None:
         """End the process and its children, which outlive a worker that died by itself."""
         if not self.alive:
             return
         self.alive = False
+        if self.process.pid and not system.GROUPS:  # later nobody knows what it has started
+            system.kill_group(self.process.pid)
         self.process.terminate()  # while a copy of it does a run, it ends what the copy has started
         self.process.join(_LEAVE_S)
-        if self.process.pid:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.process.pid, signal.SIGKILL)
+        if self.process.pid and system.GROUPS:
+            system.kill_group(self.process.pid)
         self.process.kill()
         self.process.join()
         self.connection.close()
@@ -287,7 +235,7 @@ class Worker:
             time.sleep(0.01)  # `join` waits for ever where a hostile planner has closed its files
         self.kill()
         code = self.process.exitcode or 0
-        name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        name = system.ending(code)
         if self.index is None and not self.ready:
             raise RunError(f"A worker process died while it started ({name}); see its message.")
         return None if self.index is None else self._finish("crashed", f"the worker died: {name}")
@@ -301,12 +249,12 @@ class Worker:
 
 def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> None:
     """A worker's life. ``work`` has been imported by now, and its libraries with it."""
-    os.setpgid(0, 0)
+    system.own_group()
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # discards signals from before it had its own group
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    end_with_parent()
+    system.let_interrupts_through()
+    system.end_with_parent()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with, args=(parent,), name=WATCHER, daemon=True).start()
     with contextlib.suppress(EOFError, ConnectionError):  # until the parent hangs up, or is killed
@@ -325,37 +273,10 @@ def _done(work: Callable[[Any], None], task: object) -> tuple[Status, str]:
     return "done", ""
 
 
-def silence() -> None:
-    """Let nothing that this process prints, or a library in it, reach the terminal."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
-
-
-def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Let the system send this process a signal as soon as its parent ends.
-
-    So no folder has two writers after a resume. On Linux alone.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
-
-
 def _end_with(parent: int) -> None:
     """End this process when the parent is gone: a killed parent cannot do so."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
+    system.wait_for_parent(parent)
     os._exit(1)
-
-
-@contextlib.contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """A process started in the block gets no Ctrl-C while it loads; this one gets it afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
