@@ -61,6 +61,25 @@ def test_python_of_classifiers_image_and_action_are_those_that_are_required():
     assert {*images, action["inputs"]["python-version"]["default"]} <= set(listed)
 
 
+def test_the_workflow_tries_all_pythons_on_three_systems_and_publishes_tags_without_a_password():
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8")
+    found = yaml.safe_load(text)
+    matrix = found["jobs"]["tests"]["strategy"]["matrix"]
+    assert [one.partition("-")[0] for one in matrix["os"]] == ["ubuntu", "macos", "windows"]
+    listed = [one.rpartition(" :: ")[2] for one in PROJECT["classifiers"] if "Python :: 3." in one]
+    assert set(listed) <= set(matrix["python"])
+    publish = found["jobs"]["publish"]
+    assert set(publish["needs"]) == set(found["jobs"]) - {"publish"}
+    assert publish["if"] == "startsWith(github.ref, 'refs/tags/v')"
+    assert publish["permissions"] == {"id-token": "write"}
+    assert found["permissions"] == {"contents": "read"}
+    assert "secrets" not in text
+    used = [
+        step["uses"] for job in found["jobs"].values() for step in job["steps"] if "uses" in step
+    ]
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", one) for one in used)
+
+
 def test_hooks_run_what_make_runs():
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text("utf-8"))
     [repository] = hooks["repos"]

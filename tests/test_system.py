@@ -98,7 +98,7 @@ def command(*arguments):
 
 def both(tmp_path, *arguments, code=0):
     """Result folders of a command with this interpreter, and with a bare one."""
-    plain, bare = tmp_path / "plain", tmp_path / "bare"
+    plain, bare = tmp_path / "plain" / "out", tmp_path / "bare" / "out"
     for out, env in ((plain, None), (bare, bare_python.environment(tmp_path))):
         done = subprocess.run(
             command(*arguments, "--out", out), env=env, check=False, capture_output=True, text=True

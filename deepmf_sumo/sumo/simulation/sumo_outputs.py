@@ -8,7 +8,7 @@ do not obey it. They are replaced, or refused by name.
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 from deepmf_sumo import files
@@ -58,13 +58,21 @@ def confined(arguments: Sequence[str], folder: Path) -> list[str]:
     kept = [word for one in given if one.name not in own for word in one.words]
     named = {one.name: one.value for one in given}
     prefix = _plain(named.get(_PREFIX, ""))
-    place = str(folder.absolute()).lstrip("/")
     return [
         *kept,
-        *(f"--{_PREFIX}", f"{_TO_ROOT}{place}/{prefix}"),
-        *(f"--{_SUFFIX}", _plain(named.get(_SUFFIX, ""))),
+        *(f"--{_PREFIX}", f"{from_anywhere(folder.absolute())}/{prefix}"),
+        # named by others alone: SUMO before 1.25 does not know it
+        *((f"--{_SUFFIX}", _plain(named.get(_SUFFIX, ""))) if _SUFFIX in names else ()),
         *((f"--{_VTK}", str(folder.absolute() / "vtk")) if _VTK in names else ()),
     ]
+
+
+def from_anywhere(folder: PurePath) -> str:
+    """The way to a folder from any other one; on Windows from those of its drive.
+
+    On another drive SUMO finds no such folder, and ends with an error.
+    """
+    return _TO_ROOT + folder.relative_to(folder.anchor).as_posix()
 
 
 def _elsewhere(one: Option) -> str:
