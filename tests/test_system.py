@@ -35,7 +35,8 @@ if len(sys.argv) > 2:  # the other one
         print(error)
     sys.exit()
 with folder.held(here):
-    said = subprocess.run([sys.executable, *sys.orig_argv[1:], "other"], capture_output=True, text=True)
+    again = [sys.executable, *sys.orig_argv[1:], "other"]
+    said = subprocess.run(again, capture_output=True, text=True)
     assert f"is being written by process {os.getpid()} of" in said.stdout, said
 with folder.held(here):
     pass
@@ -56,7 +57,8 @@ try:
 except ReaderError as error:
     assert str(error) == "bad"
 
-program = started("program", [sys.executable, "-c", "import sys; print(input()[::-1], flush=True); sys.stdin.read()"])
+ECHO = "import sys; print(input()[::-1], flush=True); sys.stdin.read()"
+program = started("program", [sys.executable, "-c", ECHO])
 assert isinstance(program, ThreadedProcess)
 assert program.ask("", b"abc\\n", 20.0, "it") == b"cba"
 try:

@@ -3,8 +3,8 @@
 `environment` makes each Python that is started with it load `take_away` before all else: modules
 are refused, and functions and signals deleted. Modules of the standard library that have been
 loaded keep them, as Windows' versions of these modules need none; so SUMO, torch and other
-libraries work. ``sys.platform`` stays ``linux``. Of Windows it has `msvcrt.locking`, whose locks are
-those of `fcntl`.
+libraries work. ``sys.platform`` stays ``linux``. Of Windows it has `msvcrt.locking`, by the locks
+of `fcntl`.
 """
 
 import os

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo import spec
+from deepmf_sumo import spec, system
 from deepmf_sumo.spec import tasks
 from deepmf_sumo.study.sweep import batch, fork, workers
 
@@ -222,8 +222,8 @@ def test_nobody_outlives_a_killed_sweep(tiny, paths, tmp_path):
     )
     one_done = tmp_path / "out" / "runs" / "at-2-0--tiny--0"
     wait_until(one_done.is_dir)
-    wait_until(lambda: len(list(workers._family(sweep.pid))) > 3)  # the worker and its copy
-    family = list(workers._family(sweep.pid))
+    wait_until(lambda: len(list(system._family(sweep.pid))) > 3)  # the worker and its copy
+    family = list(system._family(sweep.pid))
     sweep.kill()
     sweep.wait()
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deepmf_sumo import spec
-from deepmf_sumo.study.sweep import batch, workers
+from deepmf_sumo import spec, system
+from deepmf_sumo.study.sweep import batch
 
 from tests.support import tiny_network
 
@@ -151,7 +151,7 @@ def test_nothing_is_left_where_the_sweep_is_killed(tiny, tmp_path):
         stderr=subprocess.DEVNULL,
     )
     wait_until(lambda: len(left()) == 2)
-    family = list(workers._family(sweep.pid))
+    family = list(system._family(sweep.pid))
     sweep.send_signal(signal.SIGKILL)
     sweep.wait()
     wait_until(lambda: not left() and not any(Path(f"/proc/{pid}").exists() for pid in family))
