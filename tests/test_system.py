@@ -116,8 +116,6 @@ def test_a_run_on_a_network_has_the_same_bytes_without_posix(tmp_path):
     spec = tiny_network.spec(tmp_path, "fixed", adversary=poses, duration_s="0.5")
     plain, bare = both(tmp_path, "run", spec, "--no-pictures")
     assert same_bytes.differences(plain, bare) == []
-    logs = [next(out.glob("runs/*/log.txt")).read_bytes() for out in (plain, bare)]
-    assert logs[0] == logs[1]
 
 
 def test_endings_in_words():

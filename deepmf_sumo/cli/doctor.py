@@ -2,7 +2,6 @@
 
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -16,7 +15,9 @@ from typing import Final, Literal, NamedTuple
 import click
 
 from deepmf_sumo import system
-from deepmf_sumo.errors import exit_code
+from deepmf_sumo.errors import DeepmfError, exit_code
+from deepmf_sumo.sumo import installed
+from deepmf_sumo.sumo.network import sumo_tools
 
 _MARKS: Final = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "broken": ("BAD", "red")}
 
@@ -206,11 +207,12 @@ def _limit_mb() -> float | None:
 
 
 OLDEST_PYTHON: Final = (3, 11)
+NEWEST_SUMO: Final = "1.28.0"
+"""The newest that was tried."""
 SUMO: Final = ("libsumo", "eclipse-sumo", "sumolib", "traci")
 """They share file formats and a protocol: one version for all."""
 _LIBRARIES: Final = ("numpy", "pandas", "shapely", "pydantic", "matplotlib.pyplot")
 PROGRAM_S: Final = 60.0
-_PROGRAMS: Final = "import pathlib, sumo; print(pathlib.Path(sumo.SUMO_HOME))"
 
 
 def python() -> CheckResult:
@@ -223,20 +225,26 @@ def python() -> CheckResult:
 
 
 def sumo_versions() -> CheckResult:
-    """Whether SUMO's four packages are there, in the one version that is asked for."""
+    """Whether SUMO's four packages are there, in one version."""
     found = {name: _installed(name) for name in SUMO}
-    wanted = _wanted()
+    wanted = next((version for version in found.values() if version), NEWEST_SUMO)
     told = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
-    wrong = [name for name, version in found.items() if version is None or version != wanted[name]]
+    wrong = [name for name, version in found.items() if version != wanted]
     if not wrong:
         return CheckResult("ok", told)
-    asked = " ".join(f"{name}=={wanted[name]}" for name in wrong)
+    asked = " ".join(f"{name}=={wanted}" for name in wrong)
     return CheckResult("broken", f"{told}; install them as: pip install {asked}")
 
 
 def libsumo() -> CheckResult:
     """Whether SUMO's library can be loaded into Python."""
-    good, text = probe("import libsumo; print(libsumo.getVersion()[1])")
+    good, text = probe(
+        "import sys; from deepmf_sumo.errors import DeepmfError\n"
+        "from deepmf_sumo.sumo.simulation import sumo_api\n"
+        "try: sumo_api.load()\n"
+        "except DeepmfError as error: sys.exit(str(error))\n"
+        "import libsumo; print(libsumo.getVersion()[1])"
+    )
     return _loaded(good, text)
 
 
@@ -259,15 +267,15 @@ def sumo_gui() -> CheckResult:
 
 
 def sumo_home() -> CheckResult:
-    """Whether SUMO_HOME, which is not needed here, points to another SUMO."""
-    named = os.environ.get("SUMO_HOME")
+    """Whether SUMO_HOME, which is not needed here, names a SUMO that is used."""
+    named = os.environ.get(installed.VARIABLE)
     if not named:
         return CheckResult("ok", "not set; the installed package is used")
-    good, own = probe(_PROGRAMS)
-    if good and Path(named).resolve() == Path(own).resolve():
-        return CheckResult("ok", named)
-    what = "another SUMO" if Path(named).is_dir() else "not a folder"
-    return CheckResult("warning", f"{named} is {what}; here {own} is used")
+    if installed.own():
+        return CheckResult("ok", f"{named} is used instead of the installed package")
+    if why := installed.reason(Path(named)):
+        return CheckResult("warning", f"{named} {why}; {installed.package()} is used")
+    return CheckResult("ok", named)
 
 
 def networks() -> CheckResult:
@@ -297,26 +305,15 @@ def libraries() -> CheckResult:
 
 
 def _program(name: str, failed: State, consequence: str) -> CheckResult:
-    good, text = probe(_PROGRAMS)
-    if good:
-        file = f"{name}{system.PROGRAM_SUFFIX}"
-        good, text = ended([str(Path(text) / "bin" / file), "--version"], PROGRAM_S)
+    try:
+        good, text = ended([str(sumo_tools.program(name)), "--version"], PROGRAM_S)
+    except DeepmfError as error:
+        good, text = False, str(error)
     return CheckResult("ok", "starts") if good else CheckResult(failed, f"{consequence}: {text}")
 
 
 def _loaded(good: bool, text: str) -> CheckResult:
     return CheckResult("ok", text) if good else CheckResult("broken", f"cannot be loaded: {text}")
-
-
-def _wanted() -> dict[str, str]:
-    """The version of each of SUMO's packages that this program asks for; else libsumo's."""
-    try:
-        lines = metadata.requires("deepmf-sumo") or []
-    except metadata.PackageNotFoundError:  # run from its sources
-        lines = []
-    matches = [re.match(r"([\w.-]+)\s*==\s*([\w.]+)", line) for line in lines]
-    pinned = {match[1]: match[2] for match in matches if match}
-    return {name: pinned.get(name, _installed("libsumo") or "") for name in SUMO}
 
 
 def _installed(package: str) -> str | None:

@@ -33,6 +33,7 @@ SECTIONS: Final = {
 """As help shows the commands, those that most users need first."""
 _INSTALLED_APART: Final = ("torch", "onnx", "onnxscript", "onnxruntime")
 """Packages that the light installation or some extras leave out."""
+_SUMO_HOME: Final = "--sumo-home"
 _FULL: Final = {errno.ENOSPC, errno.EDQUOT}
 _MAKE_ROOM: Final = (
     "make room where --out is, and give the same command again; sweeps go on with --resume, and"
@@ -76,11 +77,31 @@ class Commands(CommandGroup):
                 )
 
 
+def _use_sumo(ctx: click.Context, option: click.Parameter, folder: str | None) -> None:  # noqa: ARG001
+    """Let this process and those that it starts use the user's own SUMO."""
+    if folder is None:
+        return
+    from pathlib import Path
+
+    from deepmf_sumo.errors import UsageError
+    from deepmf_sumo.sumo import installed
+
+    home = Path(folder).absolute()
+    if why := installed.reason(home):
+        raise UsageError(f"--sumo-home: {home} {why}, so it is no SUMO that can be used.")
+    os.environ[installed.VARIABLE] = str(home)
+
+
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(deepmf_sumo.__version__, prog_name="deepmf-sumo")
 @click.option(
     "--debug", is_flag=True, expose_value=False,
     help="Show the traceback of an error; may be given anywhere in the command.",
+)  # fmt: skip
+@click.option(
+    "--sumo-home", metavar="DIR", expose_value=False, callback=_use_sumo,
+    help="Use the SUMO of this folder instead of the installed package, as SUMO_HOME does; may be"
+    " given anywhere in the command.",
 )  # fmt: skip
 def commands() -> None:
     """Attack an automated vehicle in SUMO traffic, in closed loop, with DeepMF and others.
@@ -104,7 +125,8 @@ def run(arguments: list[str]) -> int:
     """Run one command line, without the program's name, in this process; returns the exit code."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
-    given = [one for one in arguments[:end] if one != "--debug"] + arguments[end:]
+    given = [one for one in arguments[:end] if one != "--debug"]
+    given = _sumo_home_first(given) + arguments[end:]
     try:
         code = commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
     except click.NoSuchOption as error:
@@ -127,6 +149,15 @@ def run(arguments: list[str]) -> int:
         click.echo(f"deepmf-sumo: {shown(' '.join(text.split()))}", err=True)
         return code
     return code if isinstance(code, int) else 0
+
+
+def _sumo_home_first(arguments: list[str]) -> list[str]:
+    """The arguments with the option of all commands before the command."""
+    for place, one in enumerate(arguments):
+        if one == _SUMO_HOME or one.startswith(f"{_SUMO_HOME}="):
+            end = place + 1 + (one == _SUMO_HOME)
+            return arguments[place:end] + arguments[:place] + arguments[end:]
+    return arguments
 
 
 def _told(error: Exception) -> tuple[str, int]:

@@ -29,6 +29,8 @@ from deepmf_sumo.results.quantities import unit, worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
 from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.sumo import installed
+from deepmf_sumo.sumo.network import sumo_tools
 
 FILE: Final = ".lock"
 
@@ -168,7 +170,7 @@ class Store:
             "format_version": stored.FORMAT_VERSION,
             "tool": "deepmf-sumo",
             "version": deepmf_sumo.__version__,
-            "packages": {name: _installed(name) for name in _PACKAGES},
+            "packages": {name: _installed(name) for name in _PACKAGES} | _own_sumo(),
             "networks": runtime_and_device(),
             "runs": dict(keys),
             "planned": dict(planned or {}),
@@ -367,6 +369,13 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def _own_sumo() -> dict[str, str]:
+    """The version of the user's own SUMO, where that is used instead of the packages."""
+    if not installed.own():
+        return {}
+    return dict.fromkeys(("libsumo", "eclipse-sumo"), sumo_tools.version())
 
 
 def _installed(package: str) -> str | None:

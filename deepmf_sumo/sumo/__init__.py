@@ -30,6 +30,12 @@ Why it is as it is:
 - An AV stays one box, and vehicles that bend never attack: ``moveToXY`` places a front alone.
 - Networks without lanes inside junctions get straight ones where there are lights. Priority is read
   from SUMO networks alone: recordings do not state it.
+- The user's own SUMO, which SUMO_HOME names, is used instead of the installed package; workers, and
+  SUMO's own programs, look there, too (`installed`).
 
 There are two kinds of networks, SUMO's here and the neural ones in `deepmf_sumo.deepmf.networks`.
 """
+
+from deepmf_sumo.sumo import installed
+
+installed.follow()

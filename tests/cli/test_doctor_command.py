@@ -1,13 +1,13 @@
 import os
 import subprocess
 import sys
-from importlib import metadata
 
 import pytest
 
 from deepmf_sumo import system
 from deepmf_sumo.cli import doctor, main
 from deepmf_sumo.cli.doctor import CheckResult
+from deepmf_sumo.sumo import installed
 
 
 def test_a_probe_that_dies_is_a_finding():
@@ -54,27 +54,24 @@ def test_sumo_packages_of_two_versions(monkeypatch):
     assert "libsumo missing" in doctor.sumo_versions().text
 
 
-def test_without_metadata_of_its_own_libsumo_is_the_measure(monkeypatch):
-    def none(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "requires", none)
-    monkeypatch.setattr(doctor, "_installed", dict.fromkeys(doctor.SUMO, "1.99.0").get)
-    assert doctor.sumo_versions().state == "ok"
-
-
 def test_sumo_home(monkeypatch, tmp_path):
     monkeypatch.delenv("SUMO_HOME", raising=False)
     assert doctor.sumo_home().state == "ok"
     monkeypatch.setenv("SUMO_HOME", str(tmp_path))
     found = doctor.sumo_home()
-    assert (found.state, "is another SUMO" in found.text) == ("warning", True)
+    assert (found.state, "has no libsumo in its folder" in found.text) == ("warning", True)
     monkeypatch.setenv("SUMO_HOME", str(tmp_path / "no"))
     assert "is not a folder" in doctor.sumo_home().text
+    (tmp_path / "tools" / "libsumo").mkdir(parents=True)
+    (tmp_path / "tools" / "libsumo" / "_libsumo.so").touch()
+    monkeypatch.setenv("SUMO_HOME", str(tmp_path))
+    assert doctor.sumo_home().text == f"{tmp_path} is used instead of the installed package"
+    monkeypatch.setenv("SUMO_HOME", str(installed.package()))
+    assert doctor.sumo_home() == CheckResult("ok", str(installed.package()))
 
 
 def test_display(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(system, "NEEDS_DISPLAY", True)
     monkeypatch.setattr(doctor.subprocess, "run", _done)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -140,15 +137,17 @@ def test_broken_wheels_are_lines(tmp_path):
         (tmp_path / name).write_text(text)
     done = subprocess.run(
         [sys.executable, "-m", "deepmf_sumo.cli.main", "doctor"], check=False,
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "SUMO_HOME": ""},
     )  # fmt: skip
     assert done.returncode == 1
     assert not done.stderr
     bad = {line[5:20].strip(): line[20:] for line in done.stdout.splitlines() if line[:3] == "BAD"}
     assert bad.pop("weights open").startswith("OSError: libtorch.so: undefined symbol")
+    missing = f"SUMO's program 'netconvert' is missing in {tmp_path / 'bin'}."
     assert bad == {
         "libsumo": "cannot be loaded: its process was ended by signal 11",
-        "netconvert": "networks cannot be built: ImportError: no binaries",
+        "netconvert": f"networks cannot be built: {missing}",
         "networks": "cannot be loaded: OSError: libtorch.so: undefined symbol",
         "libraries": "cannot be loaded: ImportError: _path failed to import",
     }

@@ -1,5 +1,6 @@
 import dataclasses
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +19,20 @@ pytestmark = pytest.mark.sumo
 )
 def test_slug(name, slug):
     assert tasks.slug(name) == slug
+
+
+@pytest.mark.parametrize(
+    "name", ["con", "NUL", "aux.txt", "com1", r"a\b", r"C:\x", "trailing. ", "ä", "a:b", "-"]
+)
+def test_folders_of_runs_can_lie_on_windows(name):
+    run = tasks.run_id_of(SimpleNamespace(name=name, seed=1), name)
+    for folder in (run, f".{run}.partial"):  # as `episode.working_folder`
+        path = PureWindowsPath(folder)
+        assert path.parts == (folder,)
+        assert not path.is_reserved()
+        assert folder == folder.lower()  # Run and run are one folder there
+        assert not folder.endswith((" ", "."))
+    assert tasks.is_run_id(run)
 
 
 def test_slugs_of_lossy_names_differ():

@@ -27,6 +27,7 @@ from deepmf_sumo.errors import DeepmfError, PluginError, RunError, UsageError
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.sweep.inputs import Input, inputs_of, lacking
 from deepmf_sumo.study.sweep.workers import START_LIMIT_S, BatchLimits, Finished, Work, Worker
+from deepmf_sumo.sumo.network import sumo_tools
 
 POLL_S: Final = 0.5
 """Longest time of a poll, and so until an actor stops."""
@@ -37,13 +38,14 @@ class NodeState:
     """The machine that started the sweep: what it has, the others must have, too.
 
     Attributes:
-        version: of the program.
+        version: of the program. sumo: its version of SUMO.
         folder: working folder. modules: other folders with modules of the user's.
         environment: variables that name folders.
         inputs: files of the tasks.
     """
 
     version: str
+    sumo: str
     folder: Path
     modules: tuple[str, ...]
     environment: dict[str, str]
@@ -81,6 +83,8 @@ class WorkerActor:
         what = lacking(node.inputs)
         if deepmf_sumo.__version__ != node.version:
             what = f"has deepmf-sumo {deepmf_sumo.__version__}, not {node.version}"
+        elif sumo_tools.version() != node.sumo:
+            what = f"has SUMO {sumo_tools.version()}, not {node.sumo}"
         elif not node.folder.is_dir():
             what = f"has no {node.folder}, the working folder"
         if what:
@@ -328,6 +332,7 @@ class _Actors:
         )
         node = NodeState(
             version=deepmf_sumo.__version__,
+            sumo=sumo_tools.version(),
             folder=Path.cwd(),
             modules=tuple(one for one in sys.path if one and not one.startswith(sys.prefix)),
             environment={key: os.environ[key] for key in _ENVIRONMENT if key in os.environ},

@@ -274,8 +274,13 @@ def _done(work: Callable[[Any], None], task: object) -> tuple[Status, str]:
 
 
 def _end_with(parent: int) -> None:
-    """End this process when the parent is gone: a killed parent cannot do so."""
+    """End this process when the parent is gone: a killed parent cannot do so.
+
+    Where the system sends it a signal then, it has time to end what its copies have started.
+    """
     system.wait_for_parent(parent)
+    if system.COPIES:
+        time.sleep(_LEAVE_S)
     os._exit(1)
 
 

@@ -1,39 +1,42 @@
 """SUMO's programs: where they are, and running them."""
 
 import os
+import shutil
 import subprocess
 from functools import cache
 from pathlib import Path
 
+from deepmf_sumo import system
 from deepmf_sumo.errors import ConversionError
+from deepmf_sumo.sumo import installed
 
 
-@cache
 def home() -> Path:
-    """SUMO's root folder, as the ``eclipse-sumo`` package installed it.
+    """SUMO's root folder: the user's own one (`installed`), else that of ``eclipse-sumo``.
 
     Raises ConversionError where that package is missing.
     """
-    try:
-        import sumo
-    except ImportError:
+    found = installed.own() or installed.package()
+    if found is None:
         raise ConversionError(
             "SUMO's programs are missing: install the package 'eclipse-sumo' "
             "in the version of 'libsumo'."
-        ) from None
-    return Path(sumo.SUMO_HOME)
+        )
+    return found
 
 
 def program(name: str) -> Path:
     """Path of a SUMO program, e.g. ``netconvert``. Raises ConversionError if it is missing."""
-    for file in (home() / "bin" / name, home() / "bin" / f"{name}.exe"):
-        if file.is_file():
-            return file
+    file = home() / "bin" / f"{name}{system.PROGRAM_SUFFIX}"
+    if file.is_file():
+        return file
+    if installed.own() and (found := shutil.which(name)):  # Debian's package has them there
+        return Path(found)
     raise ConversionError(f"SUMO's program '{name}' is missing in {home() / 'bin'}.")
 
 
 def environment() -> dict[str, str]:
-    """The process environment with SUMO_HOME set to the installed package."""
+    """The process environment with SUMO_HOME set to the SUMO that is used."""
     return {**os.environ, "SUMO_HOME": str(home())}
 
 
@@ -64,7 +67,11 @@ def run(name: str, *arguments: str, timeout_s: float = 120.0) -> str:
 
 @cache
 def version() -> str:
-    """Version of the installed SUMO, e.g. ``1.28.0``."""
+    """Version of the SUMO that is used, e.g. ``1.28.0``."""
+    if installed.own():
+        import libsumo
+
+        return installed.version_of(libsumo)
     import importlib.metadata
 
     return importlib.metadata.version("eclipse-sumo")

@@ -14,6 +14,8 @@ from typing import Any, Final, Literal, Protocol, cast
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene.car_following import TREIBER, VehicleModel
 from deepmf_sumo.scene.road_users import ROAD_USERS
+from deepmf_sumo.sumo import installed
+from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.simulation import sumo_words
 
 Backend = Literal["libsumo", "traci", "gui"]
@@ -136,8 +138,16 @@ def load() -> None:
 
 def _api(backend: Backend) -> SumoApi:
     if backend == "libsumo":
-        import libsumo
-
+        try:
+            import libsumo
+        except ImportError as error:
+            if not (home := installed.own()):
+                raise
+            raise SimulationError(
+                f"{installed.VARIABLE} is {home}, whose libsumo this Python cannot load ({error});"
+                f" unset {installed.VARIABLE} to use the installed package."
+            ) from None
+        installed.check(libsumo)
         return cast("SumoApi", libsumo)
     import traci
 
@@ -145,12 +155,8 @@ def _api(backend: Backend) -> SumoApi:
 
 
 def _binary(backend: Backend) -> str:
-    import sumo
-
-    home = Path(sumo.SUMO_HOME)
-    os.environ.setdefault("SUMO_HOME", str(home))
-    name = "sumo-gui" if backend == "gui" else "sumo"
-    return str(home / "bin" / name)
+    os.environ.setdefault(installed.VARIABLE, str(sumo_tools.home()))
+    return str(sumo_tools.program("sumo-gui" if backend == "gui" else "sumo"))
 
 
 def _of_backend(backend: Backend) -> tuple[str, ...]:

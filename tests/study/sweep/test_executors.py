@@ -1,6 +1,8 @@
 """Executors: what they are called, and a cluster whose machines get lost (Ray is a double)."""
 
+import dataclasses
 import os
+import re
 import signal
 import sys
 import time
@@ -140,10 +142,13 @@ def test_another_version_is_refused(runs, use, monkeypatch):
     use(Ray())
     monkeypatch.setattr(ray_cluster.deepmf_sumo, "__version__", "0.0.1")
     home = ray_cluster.NodeState(
-        version="9.9", folder=Path.cwd(), modules=(), environment={}, inputs=()
+        version="9.9", sumo="1.20.0", folder=Path.cwd(), modules=(), environment={}, inputs=()
     )
     refused = ray_cluster.WorkerActor(home, Writes(runs), BatchLimits()).start().refusal
     assert refused.endswith("has deepmf-sumo 0.0.1, not 9.9")
+    home = dataclasses.replace(home, version="0.0.1")
+    refused = ray_cluster.WorkerActor(home, Writes(runs), BatchLimits()).start().refusal
+    assert re.search(r"has SUMO 1\.\d+\.\d+, not 1\.20\.0$", refused)
 
 
 def test_workers_that_never_start_are_not_tried_for_ever(runs, use):
