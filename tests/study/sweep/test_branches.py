@@ -11,7 +11,7 @@ import pytest
 
 from deepmf_sumo import spec, system
 from deepmf_sumo.spec import tasks
-from deepmf_sumo.study.sweep import batch, fork, workers
+from deepmf_sumo.study.sweep import batch, fork
 
 from tests.support import forked_workers, same_bytes, tiny_network
 
