@@ -281,7 +281,7 @@ def _copied(work: Callable[[], T], shared: object = None) -> T:
         answer.seek(0)
         said = answer.read()
     code = os.waitstatus_to_exitcode(status)
-    models, found = _told(spawn.Ended(said, code, _checked.at_work()), shared)
+    models, found = _told(spawn.ProcessEnd(said, code, _checked.at_work()), shared)
     _models.update(models)
     return found
 
@@ -299,7 +299,7 @@ def _as_copy(work: Callable[[], T]) -> T:
     return work()
 
 
-def _told(ended: spawn.Ended, shared: object) -> Any:
+def _told(ended: spawn.ProcessEnd, shared: object) -> Any:
     """What a process returned; raises what it raised, dies as it died."""
     if not ended.answer and ended.blamed:
         reason = f"the planner ended its process ({system.ending(ended.code)}; see log.txt)."

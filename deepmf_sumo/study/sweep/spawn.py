@@ -30,7 +30,7 @@ WATCHER: Final = "watches the parent"
 """A thread of every worker, which sleeps and holds no lock."""
 
 
-class Ended(NamedTuple):
+class ProcessEnd(NamedTuple):
     """How a process ended; ``blamed``: while code of a planner ran."""
 
     answer: bytes
@@ -38,7 +38,7 @@ class Ended(NamedTuple):
     blamed: bool
 
 
-def run(work: Callable[[], object], shared: object = None) -> Ended:
+def run(work: Callable[[], object], shared: object = None) -> ProcessEnd:
     """Do the work in a new process; what it prints appears here.
 
     ``shared``: an object that both have. Raises RunError where the work cannot be pickled.
@@ -58,7 +58,7 @@ def run(work: Callable[[], object], shared: object = None) -> Ended:
         process.start()
         process.join()
         _print(folder / _LOG)
-        return Ended(
+        return ProcessEnd(
             answer=(folder / _ANSWER).read_bytes() if (folder / _ANSWER).is_file() else b"",
             code=process.exitcode or 0,
             blamed=(folder / _FLAG).read_bytes() != b"\0",
@@ -100,7 +100,7 @@ def _end_with_parent(folder: Path, parent: int) -> None:
     os._exit(1)
 
 
-class _Pickler(pickle.Pickler):
+class _Packer(pickle.Pickler):
     """Pickles an answer, but not what both processes have."""
 
     def __init__(self, file: IO[bytes], shared: object) -> None:
@@ -112,8 +112,8 @@ class _Pickler(pickle.Pickler):
         return "shared" if one is self._shared and one is not None else None
 
 
-class _Unpickler(pickle.Unpickler):
-    """The other side of `_Pickler`."""
+class _Unpacker(pickle.Unpickler):
+    """The other side of `_Packer`."""
 
     def __init__(self, file: IO[bytes], shared: object) -> None:
         super().__init__(file)
@@ -127,10 +127,10 @@ class _Unpickler(pickle.Unpickler):
 def packed(one: object, shared: object) -> bytes:
     """What one process tells another one, without the object that both have."""
     file = io.BytesIO()
-    _Pickler(file, shared).dump(one)
+    _Packer(file, shared).dump(one)
     return file.getvalue()
 
 
 def unpacked(said: bytes, shared: object) -> object:
     """What `packed` told, of a process of our own."""
-    return _Unpickler(io.BytesIO(said), shared).load()
+    return _Unpacker(io.BytesIO(said), shared).load()
