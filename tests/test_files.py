@@ -235,7 +235,6 @@ OURS = {
     "training/samples/feature_cache.py": "samples that training keeps in the cache",
     "training/run.py": "/proc",
     "system.py": "/proc",
-    "study/sweep/fork.py": "the answer of a copy of its own",
     "study/sweep/streams.py": "the log of a run's own folder",
     "study/sweep/spawn.py": "questions and answers of its own processes",
     "study/sweep/ray_cluster.py": "archives in memory",
