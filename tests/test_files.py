@@ -255,7 +255,6 @@ OURS = {
     "exporters/openscenario.py": "files of a folder that is made whole",
     "exporters/womd.py": "files of a folder that is made whole",
     "exporters/osi.py": "files of a folder that is made whole",
-    "exporters/openodd.py": "files of a folder that is made whole",
     "roadcheck/conflicts.py": "answers of its own processes",
     "training/recording/driver_population.py": "a file for SUMO in a folder of its own",
     "study/moments/search.py": "answers of its own processes",
