@@ -39,14 +39,17 @@ def own() -> Path | None:
 
 
 def _is_package(home: Path) -> bool:
+    """Whether a folder is of the installed packages: libsumo names ``sumo_data`` of its own."""
     installed = package()
-    return installed is not None and installed.resolve() == home.resolve()
+    return installed is not None and installed.resolve().parent == home.resolve().parent
 
 
 def reason(home: Path) -> str:
     """Why a folder is not used as SUMO, as the end of a sentence; empty where it is."""
     if not home.is_dir():
         return "is not a folder"
+    if not any((home / place).is_dir() for place in ("bin", "tools")):
+        return "has neither 'bin' nor 'tools' in it"
     if not any(any(one.glob("_libsumo*")) for one in _places(home, "libsumo")):
         return "has no libsumo in its folder 'tools'"
     return ""

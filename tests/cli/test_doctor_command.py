@@ -58,6 +58,7 @@ def test_sumo_home(monkeypatch, tmp_path):
     monkeypatch.delenv("SUMO_HOME", raising=False)
     assert doctor.sumo_home().state == "ok"
     monkeypatch.setenv("SUMO_HOME", str(tmp_path))
+    (tmp_path / "bin").mkdir()
     found = doctor.sumo_home()
     assert (found.state, "has no libsumo in its folder" in found.text) == ("warning", True)
     monkeypatch.setenv("SUMO_HOME", str(tmp_path / "no"))

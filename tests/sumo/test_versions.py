@@ -50,11 +50,28 @@ def test_a_sumo_of_ones_own_has_a_libsumo_in_it_or_beside_it(tmp_path, monkeypat
 
 
 def test_what_is_no_sumo_is_not_used(tmp_path, monkeypatch):
+    (tmp_path / "bin").mkdir()
     for home in (tmp_path, tmp_path / "nowhere", installed.package()):
         monkeypatch.setenv("SUMO_HOME", str(home))
         assert installed.own() is None
         assert sumo_tools.home() == installed.package()
     assert installed.reason(tmp_path) == "has no libsumo in its folder 'tools'"
+
+
+@pytest.mark.sumo
+def test_what_libsumo_itself_sets_is_no_sumo_of_ones_own():
+    code = (
+        "import libsumo, os; from deepmf_sumo.sumo import installed;"
+        " from deepmf_sumo.sumo.network import sumo_tools;"
+        " assert 'SUMO_HOME' in os.environ and installed.own() is None, os.environ;"
+        " print(sumo_tools.program('sumo'))"
+    )
+    env = {name: value for name, value in os.environ.items() if name != "SUMO_HOME"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.splitlines()[-1]).parent.parent == installed.package()
 
 
 def test_modules_come_from_it(tmp_path, monkeypatch):
@@ -92,6 +109,7 @@ def test_a_version_before_the_oldest_is_refused(text, old):
 )
 def test_the_option_refuses_what_is_no_sumo(tmp_path, capsys, arguments):
     given = [one.replace("DIR", str(tmp_path)) for one in arguments]
+    (tmp_path / "tools").mkdir()
     assert main.run(given) == 2
     assert f"{tmp_path} has no libsumo in its folder 'tools'" in capsys.readouterr().err
 
