@@ -5,8 +5,8 @@ up to 2 m beside a lane, where the kerb and the verge are, but there neither ins
 in water, nor over a road that passes below. Only what lies at the person's height counts.
 
 Recordings map neither sidewalks nor buildings: there a person can be up to 10 m beside a lane or an
-edge of the road. (90 % of the pedestrians of the Waymo Open Motion Dataset are, 65 to 70 % within
-2 m; of its cyclists all are.)
+edge of the road. (Nine of ten pedestrians of the Waymo Open Motion Dataset are, two of three within
+2 m; of its cyclists nearly all.)
 """
 
 from typing import Any, Final
