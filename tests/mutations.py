@@ -216,11 +216,6 @@ MUTATIONS = (
     Mutation(
         "the way back to the route is forgotten", "sumo/simulation/vehicle_control.py",
         "            self._restore_route(step, taken)\n", "",
-        "sumo/simulation/test_cyclists_taken_over.py sumo/simulation/test_opponents_in_turn.py",
-    ),
-    Mutation(
-        "the way back to the route is forgotten", "sumo/simulation/vehicle_control.py",
-        "            self._restore_route(step, taken)\n", "",
         "sumo/simulation/test_takeover_gone.py",
     ),
     Mutation(
