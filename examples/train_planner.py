@@ -141,7 +141,7 @@ class Traffic(gymnasium.Env[Floats, int]):
             adversary: dict[str, Any] = {"name": "none"}
             if aggressiveness is not None:
                 adversary = {
-                    "name": "deepmf", "version": "S2", "aggressiveness": aggressiveness,
+                    "name": "deepmf", "period_s": 2.0, "aggressiveness": aggressiveness,
                     "constraints": ["no_rear_end"],
                 }  # fmt: skip
             spec = Spec.model_validate(
