@@ -8,7 +8,8 @@ import pytest
 from small_situations import Situation, drive, road, steady, still
 
 from deepmf_sumo.scene.geometry import sight
-from studies.planner_faults import people
+from studies.planner_faults import __main__ as command
+from studies.planner_faults import measure, people
 from studies.planner_faults.people import FaultySettings, FaultyWithPeople
 
 NORTH = np.pi / 2
@@ -88,3 +89,23 @@ def test_it_passes_who_stands_far_beside_and_vans_that_hide_nothing_at_its_speed
     for situation in (far, row):
         planner = FaultyWithPeople(FaultySettings())
         assert min(drive(planner, situation, road()).speeds) > 12.9
+
+
+def test_measure_of_people_has_the_six_copies_and_the_street_with_people():
+    arguments = ["measure", "--people", "--out", "out"]
+    asked = measure.Asked.of(command._parser().parse_args(arguments))
+    assert [*asked.faults] == [*people.FAULTS]
+    assert [file.name for file in asked.specs] == ["high_street.yaml"]
+    spec = measure.spec_of(asked.specs[0], asked, {"fault": "ignores_kerb"})
+    assert spec.planner.name.endswith("people:FaultyWithPeople")
+    assert spec.adversary.settings["attackers"] == "people"
+    assert spec.av_sees == "in_sight"
+
+
+def test_the_table_counts_faults_of_people_apart():
+    nothing = measure.Found(12, 12, 0, 0)
+    told = nothing._replace(by=("impact (impact_mps)",))
+    lines = [measure.Line("careful", nothing), measure.Line("ignores_kerb", told)]
+    text = measure.table(lines)
+    assert "of people: 1 of 1 reported with the first seeds" in text
+    assert "open:" not in text
