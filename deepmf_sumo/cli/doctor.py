@@ -17,7 +17,6 @@ import click
 from deepmf_sumo import system
 from deepmf_sumo.errors import DeepmfError, exit_code
 from deepmf_sumo.sumo import installed
-from deepmf_sumo.sumo.network import sumo_tools
 
 _MARKS: Final = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "broken": ("BAD", "red")}
 
@@ -305,6 +304,8 @@ def libraries() -> CheckResult:
 
 
 def _program(name: str, failed: State, consequence: str) -> CheckResult:
+    from deepmf_sumo.sumo.network import sumo_tools
+
     try:
         good, text = ended([str(sumo_tools.program(name)), "--version"], PROGRAM_S)
     except DeepmfError as error:

@@ -61,6 +61,7 @@ def test_the_workflow_works(repository):
     assert "--seeds 1-5 " in attack
     done = run(repository, attack.replace("--seeds 1-5 ", "--seeds 1 "))
     assert done.returncode == 0, done.stdout + done.stderr
+    assert run(repository, check).returncode == 2  # there is no baseline yet, and here it is
     shutil.move(repository / "results" / "gate.json", repository / "av" / "baseline.json")
     done = run(repository, check)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -84,7 +84,7 @@ def of_fcd(folder):
 READ = {
     "commonroad": of_commonroad, "openscenario": of_openscenario, "osi": of_osi, "fcd": of_fcd,
 }  # fmt: skip
-COARSE = {"scene", "scenarionet", "womd", "ssam"}
+COARSE = {"openodd", "scene", "scenarionet", "womd", "ssam"}
 """Formats that know the four kinds of agents alone, or none."""
 
 

@@ -208,9 +208,13 @@ class ThreadedProcess(Process):
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_LEAVE_S)
         if self._process.poll() is None:
-            system.kill_group(self._process.pid)
+            system.kill_group(self._process.pid)  # it leads a group only where it made one
+            self._process.kill()
         self._process.wait()
         self._log_rest()
+        for stream in (self._process.stdout, self._process.stderr):
+            if stream is not None:
+                stream.close()
 
     def _write(self, stdin: int) -> None:
         while (line := self._lines.get()) is not None:
