@@ -11,13 +11,10 @@ import shapely
 
 from deepmf_sumo.judge.avoidability import intention
 from deepmf_sumo.judge.conflict_types import Meeting, Who
-from deepmf_sumo.judge.metrics.driving import lights_passed
+from deepmf_sumo.judge.metrics.driving import passed_green
 from deepmf_sumo.scene import Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import road
-from deepmf_sumo.scene.signals import FORBIDS, GOES
 
-JUNCTION_M: Final = 50.0
-"""From the contact to the stop lines of its junction, at most."""
 CROSSING_M: Final = 1.0
 """So far beside the markings people still use a crossing."""
 CAME_S: Final = 3.0
@@ -48,8 +45,7 @@ def light_let_it_go(rollout: Rollout, meeting: Meeting) -> bool:
     if meeting.road is None or meeting.turn_rad(0) != 0.0:
         return False
     place = rollout.tracks.position_m[meeting.av, meeting.step]
-    passed = lights_passed(rollout, meeting.road, meeting.av, place, JUNCTION_M)
-    return bool(passed & GOES) and not passed & FORBIDS
+    return passed_green(rollout, meeting.road, meeting.av, place)
 
 
 def before_hit(rollout: Rollout, meeting: Meeting) -> Ints:

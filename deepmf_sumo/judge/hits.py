@@ -15,7 +15,6 @@ from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counte
 from deepmf_sumo.judge.avoidability.encounter import onset_of
 from deepmf_sumo.judge.avoidability.intention import emerged_from, is_person
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
-from deepmf_sumo.judge.crossings import JUNCTION_M
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
 from deepmf_sumo.scene import RoadMap, Rollout, Tracks
@@ -254,9 +253,7 @@ _AT_LIGHTS: Final = {"crossing", "merging", *ACROSS}
 def _by_lights(rollout: Rollout, meeting: Meeting, road: RoadMap) -> Who:
     """The one whose light let it go, where that of the other did not."""
     place = meeting.tracks.position_m[meeting.av, meeting.step]
-    mine, theirs = (
-        lights_passed(rollout, road, row, place, JUNCTION_M) for row in (meeting.av, meeting.other)
-    )
+    mine, theirs = (lights_passed(rollout, road, row, place) for row in (meeting.av, meeting.other))
     stops = FORBIDS | STOP_FIRST
     if mine & GOES and theirs and theirs <= stops:
         return "AV"

@@ -27,7 +27,6 @@ from deepmf_sumo.judge import people
 from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.avoidability.intention import is_person
 from deepmf_sumo.judge.conflict_types import Meeting
-from deepmf_sumo.judge.crossings import JUNCTION_M
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
@@ -35,6 +34,7 @@ from deepmf_sumo.judge.metrics.collision import collision_clean
 from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
 from deepmf_sumo.scene import Bools, Floats, Ints, Rollout
 from deepmf_sumo.scene.geometry import road
+from deepmf_sumo.scene.geometry.slow import WALKING_MPS
 from deepmf_sumo.scene.signals import FORBIDS
 
 Rung = Literal["A", "B", "C", "D"]
@@ -44,8 +44,6 @@ DRIVERS: Final = ("cc", "fsm", "rss", "vru", "search")
 """What may avoid a hit: three models of drivers, of hits by people one of their own (``vru``), and
 about a hundred manoeuvres."""
 
-WALKING_MPS: Final = 1.4
-"""An AV that is slower creeps."""
 LEAST_M: Final = 1.0
 """An AV that moves less in its last second stood, even if it set off or has just stopped."""
 LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
@@ -230,7 +228,7 @@ def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:
     if meeting.road is None or meeting.turn_rad(0) < 0:
         return False
     place = rollout.tracks.position_m[meeting.av, meeting.step]
-    passed = lights_passed(rollout, meeting.road, meeting.av, place, JUNCTION_M)
+    passed = lights_passed(rollout, meeting.road, meeting.av, place)
     return bool(passed) and passed <= FORBIDS
 
 

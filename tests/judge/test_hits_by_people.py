@@ -10,6 +10,7 @@ from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.impact import first_touch
 from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
+from deepmf_sumo.judge.metrics.av_rules import av_crossing_taken
 from deepmf_sumo.judge.metrics.avoidability import avoided_by_cc, avoided_by_vru
 from deepmf_sumo.scene import Polygon, SignalState
 
@@ -23,6 +24,12 @@ RIDER = (1.8, 0.8, 1.75)
 def crossing(x, road=STREET, width=4.0):
     corners = np.array([[x - width / 2, -3], [x + width / 2, -3], [x + width / 2, 10],
                         [x - width / 2, 10]], float)  # fmt: skip
+    zebra = Polygon(id="zebra", kind="crosswalk", points_m=corners, z_m=np.zeros(4))
+    return replace(road, polygons=(zebra,))
+
+
+def crossing_to_the_north(road):
+    corners = np.array([[-8, 16], [8, 16], [8, 20], [-8, 20]], float)
     zebra = Polygon(id="zebra", kind="crosswalk", points_m=corners, z_m=np.zeros(4))
     return replace(road, polygons=(zebra,))
 
@@ -73,10 +80,28 @@ def test_lights_of_the_av_tell_who_may_cross():
 
     def at(state):
         lit = replace(found.rollout, signals=({"east": state},) * steps)
-        return told(Episode(lit, found.case))[2:]
+        one = Episode(lit, found.case)
+        return *told(one)[2:], av_crossing_taken.compute(one)
 
-    assert at(SignalState.GO) == ("", "crossed_on_red")
-    assert at(SignalState.STOP) == ("ran_light", "")
+    assert at(SignalState.GO) == ("", "crossed_on_red", 0.0)
+    assert at(SignalState.STOP) == ("ran_light", "", 1.0)
+    assert at(SignalState.FLASHING_CAUTION) == ("took_crossing", "", 1.0)  # it is off
+
+
+def test_hit_and_monitor_agree_on_who_goes_first_where_the_av_turns_at_green():
+    """The AV turns left at a green light, onto a crossing behind the junction: people go first."""
+    road = crossing_to_the_north(junction())
+    bend = np.linspace(0, np.pi / 2, 32)
+    turn = np.stack([-10 + 10 * np.sin(bend), 10 * (1 - np.cos(bend)), bend], -1)
+    before = np.stack([-10 - 0.5 * np.arange(40, 0, -1), np.zeros(40), np.zeros(40)], -1)
+    after = np.stack([np.zeros(19), 10 + 0.5 * np.arange(1, 20), np.full(19, np.pi / 2)], -1)
+    person = walks(11.6, 18.0, (9, 1.3), heading=np.pi, begin=0)
+    found = episode(np.concatenate([before, turn, after]), Drawn(person), road=road)
+    steps = found.rollout.tracks.steps - 1 - NOW
+    lit = replace(found.rollout, signals=({"east": SignalState.GO},) * steps)
+    one = Episode(lit, found.case)
+    assert hit_of(one).priority == "opponent"
+    assert av_crossing_taken.compute(one) == 1.0
 
 
 def test_who_stood_on_the_road_in_sight_was_to_be_seen():

@@ -39,7 +39,7 @@ from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.scene.road_users import ROAD_USERS, road_user
 
 _WALK: Final = ROAD_USERS["pedestrian"].motion
-WALKING_MPS: Final = _WALK.usual_mps[0] + 2 * _WALK.spread_mps
+_FASTEST_WALK_MPS: Final = _WALK.usual_mps[0] + 2 * _WALK.spread_mps
 """Hardly anybody walks faster."""
 _PACE_S: Final = 0.5
 _NEAR_M: Final = 20.0
@@ -121,10 +121,10 @@ def intends_since(
     before = np.maximum(step - round(_PACE_S / dt_s), 0)
     seconds = np.maximum(step - before, 1) * dt_s
     was_m = position_m[row, before]
-    fast = np.hypot(*(here_m - was_m).T) / seconds > WALKING_MPS
+    fast = np.hypot(*(here_m - was_m).T) / seconds > _FASTEST_WALK_MPS
     look = np.flatnonzero(fast & ~there)
     away, was = (_to_road_m(road_map, each[look]) for each in (here_m, was_m))
-    there[look] = (was - away) / seconds[look] > WALKING_MPS
+    there[look] = (was - away) / seconds[look] > _FASTEST_WALK_MPS
     shows[row, step] = there
     last = steps - 1 - (~shows)[:, ::-1].argmax(axis=1)
     return np.asarray(np.where(shows.all(axis=1), 0, last + 1))
@@ -170,7 +170,7 @@ def _intends(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> Bool
     before = np.maximum(steps - round(_PACE_S / rollout.dt_s), 0)
     away, was = (_to_road_m(road_map, tracks.position_m[row, at]) for at in (steps, before))
     seconds = np.maximum(steps - before, 1) * rollout.dt_s
-    faster = (was - away) / seconds > WALKING_MPS
+    faster = (was - away) / seconds > _FASTEST_WALK_MPS
     known = tracks.valid[row, steps] & tracks.valid[row, before]
     return on_road(rollout, road_map, row, steps) | (faster & known)
 

@@ -29,8 +29,8 @@ from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.lane_map import MARGIN_M
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
-from deepmf_sumo.scene.geometry.slow import WAITING_MPS
-from deepmf_sumo.scene.signals import FORBIDS, GOES
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS, WALKING_MPS
+from deepmf_sumo.scene.signals import FORBIDS
 
 MONITORS: Final = (
     "av_over_limit",
@@ -66,11 +66,9 @@ _SAME_WAY_RAD: Final = float(np.pi / 6)
 _PRESENT_M: Final = 60.0
 _LONG_STEPS: Final = 5
 _FROZEN_MPS: Final = 0.0005
-_WALKING_MPS: Final = 1.4
 _SEEN_S: Final = 2.5
 """A driver reacts and stops from 50 km/h in this time."""
 _WAITS_S: Final = 3.0
-_LIGHTS_M: Final = 50.0
 _TURNS_M: Final = 30.0
 _TURNED_RAD: Final = float(np.radians(20))
 _REPEATED_STEPS: Final = 3
@@ -201,7 +199,7 @@ def av_crossing_taken(episode: Episode) -> float:
     for area in crossings if on_foot else ():
         inside = np.asarray(shapely.contains_xy(area, *drive.front_m.T))
         for at in np.flatnonzero(inside & ~np.concatenate([inside[:1], inside[:-1]])).tolist():
-            fast = drive.speed_mps[at] > _WALKING_MPS and not _light_let_it_go(episode, drive, at)
+            fast = drive.speed_mps[at] > WALKING_MPS and not _light_let_it_go(episode, drive, at)
             if fast and any(_has_to_wait_for(episode, drive, at, row, area) for row in on_foot):
                 return 1.0
     return 0.0
@@ -233,8 +231,7 @@ def _light_let_it_go(episode: Episode, drive: DrivenSteps, at: int) -> bool:
     turned = frames.difference(drive.heading_rad[: at + 1][before], drive.heading_rad[at])
     if np.abs(turned).max() > _TURNED_RAD:
         return False
-    passed = driving.lights_passed(rollout, road, drive.row, drive.position_m[at], _LIGHTS_M)
-    return bool(passed & GOES) and not passed & FORBIDS
+    return driving.passed_green(rollout, road, drive.row, drive.position_m[at])
 
 
 @metric("s", better="higher")

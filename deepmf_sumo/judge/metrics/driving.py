@@ -19,7 +19,7 @@ from deepmf_sumo.scene.geometry import frames, polylines, road
 from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import RoadUser, road_user
-from deepmf_sumo.scene.signals import FORBIDS, HALTS
+from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS
 
 _TURN_NOISE_RAD = 0.1
 _SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exact direction
@@ -29,6 +29,7 @@ _TURNING_MPS = 2.0  # boxes of slow cyclists turn to and fro
 _FASTER = 1.25  # times the highest speed that is planned
 _MOVING_MPS = 1.0
 _SAME_WAY = 0.5  # cosine: within 60 degrees of the lane
+_JUNCTION_M = 50.0  # from a place in a junction to its stop lines, at most
 
 
 @metric("1", better="higher")
@@ -191,20 +192,19 @@ def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
     ]
 
 
-def lights_passed(
-    rollout: Rollout, road: RoadMap, row: int, place_m: Floats, within_m: float
-) -> set[SignalState]:
+def lights_passed(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) -> set[SignalState]:
     """States of the lights whose stop lines an agent's front crosses, as they were before the step.
 
-    Those of its last crossing alone, and only where the line is near the place (2). A lane begins
-    at its stop line. Of lights that are crossed together all are given.
+    Those of its last crossing alone, and only where the line is near the place (2): at most 50 m
+    away, so that it is of the same junction. A lane begins at its stop line. Of lights that are
+    crossed together all are given.
     """
     found: dict[int, set[SignalState]] = {}
     for lane_id in dict.fromkeys(name for lights in rollout.signals for name in lights):
         lane = road.lanes.get(lane_id)
         if lane is None or len(lane.centre_m) < 2:
             continue
-        if np.hypot(*(lane.centre_m[0] - place_m)) > within_m:
+        if np.hypot(*(lane.centre_m[0] - place_m)) > _JUNCTION_M:
             continue
         line = _stop_line(road, lane_id, lane.centre_m[0])
         for step in np.flatnonzero(_crossing(rollout, row, line)).tolist():
@@ -212,6 +212,12 @@ def lights_passed(
             if number >= 0 and lane_id in rollout.signals[number]:
                 found.setdefault(step, set()).add(rollout.signals[number][lane_id])
     return found[max(found)] if found else set()
+
+
+def passed_green(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) -> bool:
+    """Whether the lights that an agent passed last before a place (2), if any, let it go."""
+    passed = lights_passed(rollout, road, row, place_m)
+    return bool(passed & GOES) and not passed & FORBIDS
 
 
 def passed_on_red(rollout: Rollout, case: Case, row: int, steps: Bools) -> bool:
