@@ -81,11 +81,12 @@ def test_lights_of_the_av_tell_who_may_cross():
     def at(state):
         lit = replace(found.rollout, signals=({"east": state},) * steps)
         one = Episode(lit, found.case)
-        return *told(one)[2:], av_crossing_taken.compute(one)
+        return *told(one)[2:], hit_of(one).priority, av_crossing_taken.compute(one)
 
-    assert at(SignalState.GO) == ("", "crossed_on_red", 0.0)
-    assert at(SignalState.STOP) == ("ran_light", "", 1.0)
-    assert at(SignalState.FLASHING_CAUTION) == ("took_crossing", "", 1.0)  # it is off
+    assert at(SignalState.GO) == ("", "crossed_on_red", "AV", 0.0)
+    assert at(SignalState.STOP) == ("ran_light", "", "opponent", 1.0)
+    # it is off; no driver of reference comes to a stand in time
+    assert at(SignalState.FLASHING_CAUTION) == ("", "", "opponent", 1.0)
 
 
 def test_hit_and_monitor_agree_on_who_goes_first_where_the_av_turns_at_green():
