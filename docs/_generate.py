@@ -1,13 +1,16 @@
-"""A hook of mkdocs: tables of the reference, made from the code that they describe.
+"""A hook of mkdocs: tables of the reference, links to the glossary, and old addresses of pages.
 
 A line ``<!-- generate: NAME ARGUMENT -->`` of a page becomes the table that the function NAME
-returns for ARGUMENT.
+returns for ARGUMENT. The first use of each word of the glossary on a page becomes a link to it,
+unless the glossary has the word with a bracket behind it.
 """
 
 import importlib
+import posixpath
 import re
 import types
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
@@ -24,11 +27,89 @@ from deepmf_sumo.spec.profiles import LONG_S, PROFILES
 FEW = 3
 """A map with more keys has a table of its own."""
 PLACE = re.compile(r"<!-- generate: (\w+)(?: (\S+))? -->")
+GLOSSARY = "reference/glossary.md"
+MOVED = {
+    "architecture": "developers/architecture",
+    "reference/wishes": "developers/wishes",
+}
+"""Old addresses of pages, and where their content is now."""
+_ENTRY = re.compile(r"^(\w[^\n:]*)\n:   (.+(?:\n    .+)*)", re.MULTILINE)
+_NOT_PROSE = (
+    r"^```.*?^```|^---$.*?^---$|<!--.*?-->|^:::[^\n]*(?:\n    [^\n]*)*|^#[^\n]*|^    [^\n]*"
+    r"|<[^>\n]*>|!?\[[^\]]*\]\([^)]*\)|`[^`\n]*`"
+)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
     """Called by mkdocs with the text of each page."""
-    return PLACE.sub(lambda found: GENERATED[found[1]](*filter(None, [found[2]])), markdown)
+    text = PLACE.sub(lambda found: GENERATED[found[1]](*filter(None, [found[2]])), markdown)
+    if page is None:
+        return text
+    own = page.file.src_uri
+    if own == GLOSSARY:
+        return _ENTRY.sub(
+            lambda found: f"{found[1]} {{: #{slug(found[1])} }}\n:   {found[2]}", text
+        )
+    return explained(text, posixpath.relpath(GLOSSARY, posixpath.dirname(own)))
+
+
+def slug(word: str) -> str:
+    """The anchor of a word of the glossary."""
+    return re.sub(r"\W+", "-", word.lower()).strip("-")
+
+
+@cache
+def words() -> dict[str, tuple[str, str]]:
+    """Anchor and definition, as plain text, of each word of the glossary that pages link to."""
+    text = (Path(__file__).parent / GLOSSARY).read_text("utf-8")
+    plain = {
+        name: " ".join(re.sub(r"\[([^\]]*)\]\([^)]*\)|[`*]", r"\1", said).split())
+        for name, said in _ENTRY.findall(text)
+        if "(" not in name
+    }
+    return {
+        one.lower(): (slug(name), said.replace('"', "'"))
+        for name, said in plain.items()
+        for one in name.split(", ")
+    }
+
+
+def explained(text: str, glossary: str) -> str:
+    """The text of a page in which the first use of each word of the glossary is a link to it."""
+    known = words()
+    longest_first = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
+    pattern = re.compile(
+        rf"{_NOT_PROSE}|(?<![\w-])(?P<word>{longest_first})(?P<plural>e?s)?(?![\w-])",
+        re.MULTILINE | re.DOTALL | re.IGNORECASE,
+    )
+    left = {anchor for anchor, _ in known.values()}
+
+    def link(found: re.Match[str]) -> str:
+        if not found["word"]:
+            return found[0]
+        anchor, said = known[found["word"].lower()]
+        if anchor not in left:
+            return found[0]
+        left.remove(anchor)
+        return f'[{found[0]}]({glossary}#{anchor} "{said}")'
+
+    return pattern.sub(link, text)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Called by mkdocs at the end: a page at each old address leads to the new one."""
+    for old, new in MOVED.items():
+        folder = Path(config["site_dir"], old)
+        folder.mkdir(parents=True, exist_ok=True)
+        target = posixpath.relpath(new.partition("#")[0], old) + "/"
+        mark = new.partition("#")[2]
+        address = f"{target}#{mark}" if mark else target
+        (folder / "index.html").write_text(
+            f'<!doctype html><meta charset="utf-8"><title>Moved</title>\n'
+            f'<meta http-equiv="refresh" content="0; url={address}">\n'
+            f'<a href="{address}">Moved</a>\n',
+            "utf-8",
+        )
 
 
 def on_page_content(html: str, **_: Any) -> str:

@@ -1,4 +1,4 @@
-"""The structure that docs/architecture.md promises."""
+"""The structure that docs/developers/architecture.md promises."""
 
 import ast
 from collections import Counter
@@ -25,7 +25,7 @@ def test_a_room_says_what_it_is_and_why(room):
 
 
 def test_the_architecture_page_lists_all_rooms():
-    page = (house.ROOT / "docs" / "architecture.md").read_text()
+    page = (house.ROOT / "docs" / "developers" / "architecture.md").read_text()
     assert [room.name for room in ROOMS if f"| `{room.name}/`" not in page] == []
 
 

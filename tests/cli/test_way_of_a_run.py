@@ -1,4 +1,4 @@
-"""The way of a run that docs/architecture.md shows is the one that it goes."""
+"""The way of a run that docs/developers/architecture.md shows is the one that it goes."""
 
 import importlib
 import inspect
@@ -15,7 +15,7 @@ from deepmf_sumo.study.sweep import workers
 from tests.support import tiny_network
 
 PACKAGE = Path(deepmf_sumo.__file__).parent
-PAGE = PACKAGE.parent / "docs" / "architecture.md"
+PAGE = PACKAGE.parent / "docs" / "developers" / "architecture.md"
 
 
 def listed():

@@ -47,8 +47,8 @@ def test_the_limits_hold():
 
 @named
 def test_a_page_has_a_picture_or_an_output_near_its_top(page):
-    if not counts.limited(page) and "reference" not in page.name:
-        pytest.skip("tables of results, or for contributors")
+    if not counts.limited(page):
+        pytest.skip("the reference, tables of results, or for developers")
     above = "\n".join(page.text.splitlines()[:90])
     assert re.search(r"!\[|^```(text|json)$", above, re.MULTILINE)
     assert "@@" not in page.text
@@ -109,11 +109,40 @@ def test_words_and_numbers_are_those_for_readers(tmp_path):
     assert (page.words, page.numbers) == (10, 2)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("griffe") is None, reason="needs the group docs")
-def test_tables_of_the_reference_are_generated():
+@pytest.fixture
+def generate():
+    """The hook of mkdocs."""
+    pytest.importorskip("griffe", reason="needs the group docs")
     place = importlib.util.spec_from_file_location("generate", DOCS / "_generate.py")
-    generate = importlib.util.module_from_spec(place)
-    place.loader.exec_module(generate)
+    module = importlib.util.module_from_spec(place)
+    place.loader.exec_module(module)
+    return module
+
+
+def test_the_first_use_of_a_word_leads_to_the_glossary(generate):
+    text = (
+        "# A finding\n`finding` [a finding](x.md) <!-- finding -->\n\nFindings, a finding, hits.\n"
+    )
+    made = generate.explained(text, "glossary.md")
+    assert made.startswith(
+        "# A finding\n`finding` [a finding](x.md) <!-- finding -->\n\n[Findings]("
+    )
+    assert made.count("glossary.md#finding ") == 1
+    assert made.count("glossary.md#hit ") == 1
+    assert "](" not in generate.explained("```text\na hit\n```\nwhite, fairly\n", "glossary.md")
+
+
+def test_old_addresses_lead_to_pages(generate, tmp_path):
+    generate.on_post_build({"site_dir": tmp_path})
+    pages = {page.name.removeprefix("docs/").removesuffix(".md"): page for page in SITE}
+    for old, new in generate.MOVED.items():
+        name, _, mark = new.partition("#")
+        assert old not in pages
+        assert not mark or mark in pages[name].anchors
+        assert f"{name.rpartition('/')[2]}/" in (tmp_path / old / "index.html").read_text()
+
+
+def test_tables_of_the_reference_are_generated(generate):
     for page in SITE:
         made = generate.on_page_markdown(page.text)
         assert "<!-- generate" not in made
@@ -143,6 +172,6 @@ def test_an_output_of_another_page_is_copied(tmp_path):
 
 def test_an_output_that_two_pages_show_is_the_same():
     shown = [page for page in SITE if any(one.mark.startswith("as in") for one in page.blocks)]
-    assert len(shown) > 3
+    assert shown
     other = [page.name for page in shown if blocks.copied(page) != page.text]
     assert other == [], "python -m tests.docs.blocks --write PAGE"
