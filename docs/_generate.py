@@ -30,6 +30,15 @@ PLACE = re.compile(r"<!-- generate: (\w+)(?: (\S+))? -->")
 GLOSSARY = "reference/glossary.md"
 MOVED = {
     "architecture": "developers/architecture",
+    "explain/risk": "reference/risk-map#how-the-numbers-are-made",
+    "howto/benchmark": "howto/compare#compare-methods",
+    "howto/conflicts": "howto/network#count-conflicts",
+    "howto/countermeasures": "howto/network#try-a-change",
+    "howto/results-in-python": "reference/python#results-as-tables",
+    "howto/screen": "howto/network#check-it-by-the-book",
+    "howto/stacks": "reference/stacks",
+    "howto/steering": "howto/attack#steer-the-attack",
+    "reference/evidence": "reference/risk-map#tables-of-evidence",
     "reference/wishes": "developers/wishes",
 }
 """Old addresses of pages, and where their content is now."""

@@ -1,7 +1,7 @@
 """Results as tables: a row a run, an attack or a contact.
 
 Whatever counts, averages or compares results takes its numbers from here. The columns are described
-in docs/howto/results-in-python.md.
+in docs/reference/python.md.
 """
 
 import hashlib

@@ -413,7 +413,7 @@ class Results:
         )
 
     def frame(self, kind: "Kind" = "runs") -> "pd.DataFrame":
-        """All runs, attacks or contacts as a table, see docs/howto/results-in-python.md.
+        """All runs, attacks or contacts as a table, see docs/reference/python.md.
 
         Args:
             kind: ``runs``: a row a run, with all quantities and metrics; ``attacks``: a row an

@@ -1,4 +1,4 @@
-"""The planner that docs/start/planner-team.md shows drives as it says."""
+"""The planner that docs/howto/planners.md shows drives as it says."""
 
 import csv
 import gzip
@@ -10,7 +10,7 @@ import pytest
 
 from deepmf_sumo.cli import main
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "start" / "planner-team.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "planners.md"
 
 
 @pytest.fixture

@@ -165,8 +165,8 @@ def test_every_plugin_and_metric_module_is_in_a_generated_page():
 
 def test_an_output_of_another_page_is_copied(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("<!-- as in howto/screen.md -->\n```text\nold\n```\nmore\n")
-    expected = blocks.first_output(Page(DOCS / "howto" / "screen.md"))
+    page.write_text("<!-- as in howto/network.md -->\n```text\nold\n```\nmore\n")
+    expected = blocks.first_output(Page(DOCS / "howto" / "network.md"))
     assert blocks.copied(Page(page)).splitlines()[2:-2] == expected.splitlines()
 
 
