@@ -12,8 +12,7 @@ from pydantic import Field
 from deepmf_sumo import plugins
 from deepmf_sumo.attacks.base import Simulate
 from deepmf_sumo.deepmf.networks.opponent import Opponent
-from deepmf_sumo.deepmf.opponent import SCORED
-from deepmf_sumo.deepmf.opponent import choose as choose_opponent
+from deepmf_sumo.deepmf.opponent import SCORED, choose_opponent
 from deepmf_sumo.deepmf.settings import LIMITS
 from deepmf_sumo.deepmf.tracking import Tracked
 from deepmf_sumo.scene import AgentId, Bools, Budget, Case, Floats, Plan, Rollout, View, frozen

@@ -199,8 +199,8 @@ def against_traffic(
     """(N1) whether a candidate drives against the traffic for more than 1 s up to ``until`` (N1).
 
     What the opponent drove in the last second counts, too, from the step after ``since`` on (None:
-    all of it): before the first plan something else drove it. That alone forbids no candidate: one
-    that is back on its side from the next step on does not drive against the traffic. Pedestrians
+    all of it): before the first plan something else drove it. That alone excludes no
+    candidate that is on its own side from the next step on. Pedestrians
     have no side, but cross: see `along_road`.
     """
     if situation.on_foot:

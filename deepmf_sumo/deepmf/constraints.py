@@ -355,7 +355,7 @@ def _understood(
         np.where(meets, touch.argmax(axis=1) + own_m.shape[1], 0),
         view.dt_s,
     )
-    # Who does not touch the AV that keeps on gives the driver no reason to act.
+    # a person that would miss the AV gives its driver no reason to act
     return np.where(meets, since, touch.shape[1] + own_m.shape[1])
 
 
@@ -371,7 +371,7 @@ def _state(view: View, agent_id: AgentId) -> VehicleState:
 class Clean(Constraint):
     """Up to its collision the candidate does not leave the road, nor touch another agent.
 
-    A pedestrian comes from beside the road, but meets the AV on it, as of `OnRoad`. Agents that it
+    A pedestrian comes from beside the road, but meets the AV on it, as in `OnRoad`. Agents that it
     touches at the first step do not count.
     """
 

@@ -39,7 +39,7 @@ _COMPARED_STEPS: Final = 30
 _AIMED_SHARE: Final = 0.5
 """Of the probability of the futures that candidates are aimed at: those of earlier tries."""
 _PATIENCE: Final = 5
-"""Tries of one opponent before others have theirs."""
+"""Tries of one opponent before another is tried."""
 _LEAST: Final = 1e-3
 """Less resemblance counts as none: the try was at another place by now."""
 

@@ -53,7 +53,7 @@ class Scorer(Protocol):
         ...
 
 
-def choose(
+def choose_opponent(
     view: View,
     how: str,
     predictor: Scorer | None,

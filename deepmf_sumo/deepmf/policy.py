@@ -1,7 +1,8 @@
 """DeepMF: attacks by factorised prediction, re-planned in closed loop (Algorithm 1 of the paper).
 
 At 0, T, 2T, ...: the largest of P(Y_OV | X) * sum over Y_AV of P(Y_AV | Y_OV, X) * Coll(Y_OV, Y_AV)
-among candidates Y_OV. `DeepMF._plan` is the whole of it: generate candidates, predict the AV's
+among candidates Y_OV (rule ``expected``; specs have ``likeliest`` by default, see `scoring`).
+`DeepMF._plan` is the whole of it: generate candidates, predict the AV's
 reactions, collide all pairs, apply the constraints, choose.
 """
 
@@ -20,7 +21,7 @@ from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
 from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths
-from deepmf_sumo.deepmf.opponent import ByClass, choose, highest, tried
+from deepmf_sumo.deepmf.opponent import ByClass, choose_opponent, highest, tried
 from deepmf_sumo.deepmf.reference_paths import OwnPath, goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
@@ -43,7 +44,7 @@ __all__ = ["DeepMF", "PredictorSet", "Settings", "build"]
 
 
 class PredictorSet(Protocol):
-    """The three networks of the paper."""
+    """The three networks of the paper, and the one for people."""
 
     @property
     def opponent(self) -> Opponent:
@@ -162,7 +163,9 @@ class DeepMF:
         self._attack = None
         who = "all" if settings.names_opponent else settings.attackers
         scorer = ByClass(self._predictors.opponent, who, self._av_ahead)
-        chosen, self._scores = choose(view, settings.opponent, scorer, self._partner_id, rng, who)
+        chosen, self._scores = choose_opponent(
+            view, settings.opponent, scorer, self._partner_id, rng, who
+        )
         watch.lap("opponent")
         self.seconds += watch.seconds
         if chosen is None:

@@ -120,7 +120,8 @@ class Settings(plugins.Settings):
         form: ``paper``, the method as published, ``extended``, or a map of what studies vary, see
             `Form`.
         period_s: seconds between plans, a multiple of 0.1; null plans once. In specs ``version``
-            is short for it, as the paper calls them: G (one plan), S4, S2, S1.
+            is short for it, as the paper calls them: G (one plan), S4, S2, S1. A spec that states
+            it means one try (`spec.profiles`).
         opponent: ``argmax`` or ``sample`` (softmax) of the scores; ``partner``: argmax of the head
             trained on labelled partners; ``labelled``: the partner that the recording names; else
             the id of a vehicle, pedestrian or cyclist.

@@ -73,7 +73,7 @@ def rides(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool:
 
 
 def priority(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> Who | None:
-    """Who of AV and person goes first; None where the rules of vehicles tell.
+    """Who of AV and person goes first; None where the rules for vehicles decide.
 
     A person does on a crossing, unless the AV's light let it go on; elsewhere on the road the AV.
     """

@@ -49,7 +49,7 @@ class Hit:
         side: where the opponent came from, seen from the AV.
         priority: which of the two had it; empty where that is not known.
         turned: which of the two turned, changed lanes, or drove ahead; empty where neither did.
-        strayed: whether the opponent left its lane, where the AV did not and no lane is changed.
+        strayed: whether the opponent alone left its lane, in a conflict without a lane change.
         action: of the AV, from the onset to the contact.
         late: whether it braked, and began to do so more than 1 s after the onset.
         braking_mps2: its hardest braking from the onset on, mean over 0.5 s.

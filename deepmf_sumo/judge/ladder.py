@@ -7,7 +7,7 @@
   driver avoids it. If the AV erred, too, a manoeuvre of the search is enough: without its error
   there was no hit.
 - **C**, contrived: it says little about the AV, see `_contrived`.
-- **D**, unavoidable: no reference driver avoids it. The search may, which knows what is to come.
+- **D**, unavoidable: no reference driver avoids it. The search may, because it knows the future.
 
 Hits by pedestrians and cyclists have rules of their own where those of vehicles make no sense, see
 `people`.
@@ -45,7 +45,7 @@ DRIVERS: Final = ("cc", "fsm", "rss", "vru", "search")
 about a hundred manoeuvres."""
 
 LEAST_M: Final = 1.0
-"""An AV that moves less in its last second stood, even if it set off or has just stopped."""
+"""An AV that moved less than this in its last second stood, even if it was setting off."""
 LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
 """A smaller change of velocity injures no occupant, and often damages no car."""
 MOMENT_S: Final = 1.0
@@ -96,7 +96,7 @@ def verdict(episode: Episode) -> Verdict | None:
     contrived = tuple(_contrived(episode, hit))
     av = _av_error(episode, hit)
     if av == "took_crossing" and not judged.avoidable:
-        av = ""  # nobody gives way to whom nobody could see
+        av = ""  # the AV cannot give way to a person that it could not see
     # what it did before it stood for long enough to be seen does not matter
     opponent = "" if av == "struck_standing" else _opponent_error(episode, hit)
     rung: Rung
@@ -133,11 +133,11 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
       is on such a lane, and in junctions lanes lie in most directions. Overtaking on the oncoming
       lane counts too: a map does not tell where it is allowed, and an opponent that may use that
       lane can meet an AV head-on anywhere.
-    - Nothing with wheels moves as the opponent did.
+    - No vehicle of its class can move as the opponent did.
     - The AV or the opponent had touched another road user before.
-
-    For people see `people.contrived`, in place of the second to fourth of these.
     - A supporter touched anybody: it was to take ways out from the AV by its place alone.
+
+    For people `people.contrived` replaces the second to the fourth.
     """
     rollout, meeting = episode.rollout, hit.meeting
     if stood_or_crept(_speeds(rollout, meeting.av, meeting.step, LAST_S)):

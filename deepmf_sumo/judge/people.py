@@ -39,7 +39,7 @@ _MOSTLY: Final = 0.5
 
 
 def contrived(episode: Episode, hit: Hit) -> Iterator[str]:
-    """What makes a hit by a person say little about the AV, beside what does of vehicles, too."""
+    """What makes a hit by a person say little about the AV, besides the reasons of all hits."""
     rollout, contact = episode.rollout, episode.rollout.first("av_opponent")
     assert contact is not None
     if rollout.tracks.speed_mps[hit.meeting.av, max(contact.step - 1, 0)] < LEAST_IMPACT_MPS:
@@ -60,7 +60,7 @@ def stood(episode: Episode, meeting: Meeting, steps: Ints) -> bool:
 def av_error(episode: Episode, hit: Hit) -> str | None:
     """What the AV did wrong to a person who did not stand there; empty for nothing.
 
-    None where the rules of vehicles tell.
+    None where the rules for vehicles decide.
     """
     if not on_road(episode.case.road, hit.meeting):
         return "left_road" if _left_road(episode.rollout, episode.case.road, hit.meeting) else ""
@@ -70,7 +70,7 @@ def av_error(episode: Episode, hit: Hit) -> str | None:
 
 
 def opponent_error(episode: Episode, hit: Hit) -> str | None:
-    """What the person did wrong; empty for nothing, None where the rules of vehicles tell."""
+    """What the person did wrong; empty for nothing, None where the rules for vehicles decide."""
     rollout, meeting, road_map = episode.rollout, hit.meeting, episode.case.road
     if not on_road(road_map, meeting):
         return ""

@@ -145,7 +145,7 @@ class Engagement:
 
         road = scenery.surroundings.road
         self._record = EpisodeRecord(av, road, recorder, frame, longest, self._signals, schedule)
-        touching = any(event.agent_id == av for event in self._record.judge.events)
+        touching = any(event.agent_id == av for event in self._record.contact_finder.events)
         self.attackers = () if touching else self._record.schedule.attackers
         self._step = self._record.step
         self._from: Mapping[AgentId, Pose | None] = {}

@@ -51,8 +51,9 @@ PROFILES: Final[dict[ProfileName, Profile]] = {
     "lawful": Profile(constraints=("lawful",)),
     "paper": Profile(form="paper", rule=None, in_turn=False),
 }
-"""``fair``: a competent driver in the AV's place could avoid the attack, and the opponent neither
-rams it from behind nor drives beside the road or against the traffic, which is possible anywhere;
+"""``fair``: a competent driver in the AV's place could avoid the attack (the constraint ``fair``),
+and the opponent touches nobody else and stays on the road (``clean``), does not ram it from behind
+(``no_rear_end``) and does not drive against the traffic (``with_traffic``); up to four tries;
 ``any``: whatever the opponent can drive; ``lawful``: it keeps the rules of traffic; ``paper``: the
 method as published."""
 DEFAULT: Final[ProfileName] = "fair"
@@ -105,7 +106,7 @@ def completed(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     found, version = dict(values), values.get("version")
     if type(version) is not int or version not in DEFAULT_RULES:
-        return found  # which is refused where versions are checked
+        return found  # refused where versions are checked
     choice = found.get("adversary", {"name": "deepmf"})
     if not isinstance(choice, dict):
         choice = choice.model_dump() if hasattr(choice, "model_dump") else {}
@@ -130,7 +131,7 @@ def completed(values: Mapping[str, Any]) -> dict[str, Any]:
 def _of_version_3(found: dict[str, Any], choice: dict[str, Any]) -> dict[str, Any]:
     name = found.setdefault("profile", DEFAULT)
     if not (isinstance(name, str) and name in PROFILES):
-        return found  # which is refused where keys are checked
+        return found  # refused where keys are checked
     if applies_to(str(choice.get("name"))):
         if published(choice):
             name = found["profile"] = "paper"

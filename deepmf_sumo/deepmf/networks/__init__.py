@@ -1,4 +1,6 @@
-"""The three networks of the method, for inference: a view goes in, forecasts come out.
+"""The networks of the method, for inference: a view goes in, forecasts come out.
+
+Three are the paper's; `people` has the one for pedestrians and cyclists.
 
 The forward pass is four files: `encode` (what is read of a view, on the road of `lanes`),
 `condition` (the given vehicle, and a driver who follows it), `densetnt` with the goals of `anchors`

@@ -45,7 +45,7 @@ _PACE_S: Final = 0.5
 _NEAR_M: Final = 20.0
 """Lanes farther away are not looked for."""
 _EMERGED_S: Final = 1.0
-"""Who was hidden longer ago has been in sight since."""
+"""A person that was hidden longer ago counts as in sight since."""
 _NOWHERE: Final = RoadMap(lanes={})
 
 
@@ -84,8 +84,8 @@ def shown_since(
 ) -> int:
     """First step of first..contact from which on a person is understood by the AV's driver.
 
-    It is that at which the person is first in sight of those at which its intention shows; later,
-    a driver remembers who is hidden again. ``contact`` if there is none.
+    The first at which the person is in sight and its intention shows; a driver remembers a person
+    that is hidden again later. ``contact`` if there is none.
     """
     tracks, known = rollout.tracks, road_map or _NOWHERE
     steps = np.arange(first, contact)

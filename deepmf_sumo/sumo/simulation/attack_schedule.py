@@ -22,8 +22,8 @@ from deepmf_sumo.sumo.simulation.ownership import NextOwner
 from deepmf_sumo.sumo.simulation.way_on import WayOn
 
 _MOVED_M = 0.05
-_PATIENCE_STEPS = 300
-"""A vehicle that has not got back onto a lane by then is SUMO's, wherever it is."""
+_BACK_ON_LANE_STEPS = 300
+"""A vehicle that is not back on a lane by then is SUMO's, wherever it is."""
 
 
 class AttackingVehicle:
@@ -88,7 +88,7 @@ class AttackingVehicle:
         if self._driven is None:
             return None
         creep_mps = owner.creep_mps(self.id)
-        given_up = creep_mps > 0 and self._alone_steps >= _PATIENCE_STEPS
+        given_up = creep_mps > 0 and self._alone_steps >= _BACK_ON_LANE_STEPS
         if given_up or owner.takes(self.id, step, self._driven):
             self._driven, self._way, self._alone_steps = None, None, 0
             return None
@@ -105,7 +105,7 @@ class AttackingVehicle:
         return WayOn(self._road, self._driven, z_m, creep_mps, cost, lanes)
 
     def go_on_as(self, before: "AttackingVehicle") -> None:
-        """It attacked before, as ``before``, and is still on its way to its next owner."""
+        """Continue the way to the next owner that it began as ``before``."""
         self._driven, self._way = before._driven, before._way  # noqa: SLF001
         self._alone_steps = before._alone_steps  # noqa: SLF001
 
@@ -160,7 +160,7 @@ _RETRY_STEPS = 10
 _PAUSE_STEPS = 10
 """From one attack to the next: after it the history in views is free of the last attack."""
 _SHORTEST_STEPS = 30
-"""An attack that began later before the end would be judged as one that failed."""
+"""An attack that begins with less time left would count as a failure."""
 
 
 class AttackSchedule:
@@ -277,7 +277,7 @@ class AttackSchedule:
     def after_step(
         self, step: int, frame: Frame, size_m: Floats, hits: Collection[AgentId]
     ) -> bool:
-        """Close attacks that are over; returns whether the episode is.
+        """Close finished attacks; returns whether the episode is finished.
 
         Args:
             step: of the frame.

@@ -34,7 +34,7 @@ def overlapping(
 
 
 _APART_M = 0.25
-"""Recorded boxes that touch tremble: a pair has come apart if its boxes are farther apart."""
+"""Recorded boxes jitter: a pair has come apart once its gap is larger than this."""
 
 
 class ContactFinder:

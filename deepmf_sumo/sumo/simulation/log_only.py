@@ -2,9 +2,9 @@
 
 Where the traffic replays the log and the AV does the same whatever happens (`FixedPlanner`), SUMO
 would only move vehicles along known poses. The episode is put together here, all steps up to the
-next plan in one go, with the beginning, recorder, schedule and judge of every episode: its rollout
-is that of the loop over SUMO, without the events that tell where SUMO has the AV. In that loop it
-would take several times as long (studies/notebook/cost.md).
+next plan in one go, with the beginning, recorder, schedule and contacts of every episode: its
+rollout is that of the loop over SUMO, without the events that tell where SUMO has the AV. In that
+loop it would take several times as long (studies/notebook/cost.md).
 """
 
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ def run(
 
 def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     """All steps up to the next plan or to the contact that ends the episode; whether one does."""
-    first, schedule, judge = record.step + 1, record.schedule, record.judge
+    first, schedule, finder = record.step + 1, record.schedule, record.contact_finder
     stop = next((step for step in range(first, record.end) if schedule.due(step)), record.end)
     poses = {step: schedule.advance(step) for step in range(first, stop + 1)}
     driven = schedule.attackers + schedule.supporters
@@ -73,19 +73,19 @@ def _advance(world: "_LogOnly", record: EpisodeRecord) -> bool:
     several = len(schedule.attackers) > 1
     for step in range(first, stop + 1):
         # a pair that overlaps without a contact is judged at each step, for it may come apart
-        if step not in begins and not judge.excuses and not several:
+        if step not in begins and not finder.excuses and not several:
             continue
         for look in (step,) if looked == step - 1 else (step - 1, step):
             frame = world.frame(look)
             size_m = world.sizes_m(frame.ids)
-            judge.look(look, frame, size_m)
+            finder.look(look, frame, size_m)
         looked = step
-        if schedule.after_step(step, frame, size_m, judge.hits(step)):
+        if schedule.after_step(step, frame, size_m, finder.hits(step)):
             stop = step
             break
     record.recorder.extend(*world.states(first, stop + 1))
     world.step = stop
-    return bool(judge.hits(stop))
+    return bool(finder.hits(stop))
 
 
 class _LogOnly:

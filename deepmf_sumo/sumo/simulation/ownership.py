@@ -7,15 +7,16 @@ plan, the log or SUMO would have it:
 | from | to | how |
 | --- | --- | --- |
 | log, SUMO | policy | the policy sees where the agent is, and its plan begins one step from there |
-| policy | log | only at a step at which the log has it where it gets by itself (`continues`) |
+| policy | log | only at a step whose logged pose is reached without a jump (`continues`) |
 | policy | SUMO | only from a pose from which SUMO drives on without moving or turning it |
-| policy | policy | neither takes it: it follows the nearest lane (`way_on`), in the log to a stop |
-| policy | policy | a person walks to the nearest footway (`on_foot`), in the log it stops |
+| policy | nobody yet | it follows the nearest lane (`way_on`), in the log to a stop |
+| policy | nobody yet | a person walks to the nearest footway (`on_foot`), in the log it stops |
 | log | planner | from the recorded pose of the current step |
 | planner | planner | off every lane, where SUMO drives nothing: it goes back to one, or stops |
 
-`NextOwner` is the question that a world answers; `attack_schedule` asks it for opponents. An
-overlap that begins in the step of a hand-over is no contact (`contacts`).
+An agent that nobody owns yet is recorded as `Driver.POLICY`. `NextOwner` is the question that a
+world answers; `attack_schedule` asks it for opponents. An overlap that begins in the step of a
+hand-over is no contact (`contacts`).
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -37,7 +38,7 @@ _HARDEST_MPS2: Final = 10.0
 
 
 class NextOwner(Protocol):
-    """What drives an opponent once its plan is over."""
+    """What drives an opponent once its plan, or its attack, is over."""
 
     def creep_mps(self, agent: AgentId) -> float:
         """Speed at which an agent that is not taken goes back to a lane; 0: it stops."""
@@ -48,11 +49,11 @@ class NextOwner(Protocol):
         ...
 
     def clear(self, agent: AgentId, poses: Sequence[Pose]) -> bool:
-        """Whether nothing is in the way of an agent at poses but what overlaps it already."""
+        """Whether poses of an agent are free, but for what overlaps it already."""
         ...
 
     def lane_cost(self, agent: AgentId, lane_id: str) -> float | None:
-        """Metres that another lane may be farther off to be as good; None: not allowed there."""
+        """Penalty of a lane in metres, added to its distance; None: not allowed there."""
         ...
 
     def walk(self, agent: AgentId, pose: Pose) -> Walk | None:
@@ -111,7 +112,7 @@ class LogOwner:
         return Walk(pose, ROAD_USERS["pedestrian"].motion.planned, None)
 
     def refusals(self, agents: Collection[AgentId]) -> Mapping[AgentId, str]:  # noqa: ARG002
-        """Nobody: all are boxes that are put anywhere."""
+        """None: a box can be put anywhere."""
         return {}
 
 

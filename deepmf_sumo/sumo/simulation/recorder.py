@@ -190,8 +190,8 @@ class EpisodeRecord:
         self.recorder, self.frame = recorder, frame
         self.now, self.end = recorder.step, recorder.step + duration_steps
         self.schedule = schedule(self.view())
-        self.judge = ContactFinder(av_id, self.schedule.attackers)
-        self.judge.look(self.now, frame, recorder.sizes_m(frame.ids))
+        self.contact_finder = ContactFinder(av_id, self.schedule.attackers)
+        self.contact_finder.look(self.now, frame, recorder.sizes_m(frame.ids))
 
     @classmethod
     def begun(
@@ -226,20 +226,20 @@ class EpisodeRecord:
         """Let the policy choose attackers or plan, if that is due."""
         if self.schedule.due(self.step):
             self.schedule.replan(self.view())
-        if self.schedule.attackers != self.judge.attackers:
+        if self.schedule.attackers != self.contact_finder.attackers:
             size_m = self.recorder.sizes_m(self.frame.ids)
-            self.judge.turn_to(self.schedule.attackers, self.step, self.frame, size_m)
-        if self.schedule.supporters != self.judge.supporters:
+            self.contact_finder.turn_to(self.schedule.attackers, self.step, self.frame, size_m)
+        if self.schedule.supporters != self.contact_finder.supporters:
             size_m = self.recorder.sizes_m(self.frame.ids)
-            self.judge.watch(self.schedule.supporters, self.step, self.frame, size_m)
+            self.contact_finder.watch(self.schedule.supporters, self.step, self.frame, size_m)
 
     def add(self, frame: Frame) -> bool:
         """Record and judge a step; returns whether AV and an attacker have ended the episode."""
         self.recorder.add(frame)
         self.frame = frame
         size_m, step = self.recorder.sizes_m(frame.ids), self.step
-        self.judge.look(step, frame, size_m)
-        return self.schedule.after_step(step, frame, size_m, self.judge.hits(step))
+        self.contact_finder.look(step, frame, size_m)
+        return self.schedule.after_step(step, frame, size_m, self.contact_finder.hits(step))
 
     def rollout(
         self,
@@ -261,9 +261,11 @@ class EpisodeRecord:
             dt_s=DT_S,
             av_id=self._av,
             attackers=self.schedule.of_episode,
-            contacts=tuple(self.judge.contacts),
+            contacts=tuple(self.contact_finder.contacts),
             events=tuple(
-                sorted([*events, *planned, *self.judge.events], key=lambda event: event.step)
+                sorted(
+                    [*events, *planned, *self.contact_finder.events], key=lambda event: event.step
+                )
             ),
             plans=tuple(self.schedule.plans),
             ended=ended,

@@ -21,7 +21,7 @@ _KINDS: Final[Mapping[str, AgentKind]] = {
     **dict.fromkeys(("tram", "rail", "rail_urban", "rail_fast", "rail_electric"), "other"),
     **dict.fromkeys(("subway", "cable_car", "ship", "container", "aircraft", "drone"), "other"),
 }
-"""Of SUMO's vehicle classes those that are not vehicles on roads, and so never attack."""
+"""Kinds of SUMO's vehicle classes; all others are vehicles. ``other`` never attacks."""
 _NOWHERE_M: Final = -1e8
 """Coordinates below are SUMO's way to say that a vehicle is not on the road."""
 

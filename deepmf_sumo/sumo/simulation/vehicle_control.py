@@ -321,7 +321,7 @@ class Takeover:
         )
 
     def after_step(self) -> None:
-        """Tell SUMO the speeds: else they would be those of jumps, cut to the vehicles' limits."""
+        """Tell SUMO the speeds, which it would otherwise derive from how far `moveToXY` moved."""
         self._hand_over.after_step()
         self.persons.after_step()
         there = self._api.vehicle.getIDList()
@@ -454,7 +454,7 @@ class SumoOwner:
         self._takeover, self._occupancy, self._made = takeover, occupancy, made
 
     def creep_mps(self, agent: AgentId) -> float:
-        """So slowly a vehicle turns onto a lane, where SUMO drives on; a person walks."""
+        """Creeping speed of a vehicle that turns onto a lane; walking speed of a person."""
         return CREEP_MPS if agent_ids.person_of(agent) is None else WALK_MPS
 
     def takes(self, agent: AgentId, step: int, pose: Pose) -> bool:  # noqa: ARG002

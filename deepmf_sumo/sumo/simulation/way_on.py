@@ -24,7 +24,7 @@ _REACH_M: Final = 30.0
 """A lane farther off is not looked for."""
 _LARGEST_TURN_RAD: Final = np.radians(100.0)
 _TURN_COSTS_M: Final = 5.0
-"""A radian of turning is as bad as a lane that is farther off by this."""
+"""A radian of turning costs as much as this many metres."""
 _LINE_M: Final = 300.0
 _MOST_LANES: Final = 40
 _STEEPEST_RAD: Final = 0.5

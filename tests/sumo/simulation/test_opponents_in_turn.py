@@ -331,7 +331,7 @@ def test_who_cannot_get_back_onto_a_lane_is_taken_out_and_it_is_said(busy, monke
     from deepmf_sumo.sumo.simulation import attack_schedule
     from deepmf_sumo.sumo.simulation.vehicle_control import Takeover
 
-    monkeypatch.setattr(attack_schedule, "_PATIENCE_STEPS", 5)
+    monkeypatch.setattr(attack_schedule, "_BACK_ON_LANE_STEPS", 5)
     monkeypatch.setattr(Takeover, "lane_cost", lambda *_: None)
     found = episode(busy, Ram(sideways=-9.0), replace(RULES, longest_s=3.0), steps=60)
     (event, *_) = [event for event in found.events if event.kind == "removed"]
