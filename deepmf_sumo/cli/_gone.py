@@ -1,8 +1,14 @@
 """Commands and options of the release before, and what to write instead of each.
 
-This is the only place that knows them. The next release drops it.
+An option that is a key now still works: it is read as the key, and a line says so. All others are
+refused with what to write. This is the only place that knows them; the next release drops it.
 """
 
+import json
+import re
+import shlex
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 import click
@@ -40,7 +46,7 @@ _MOMENTS: Final = {
     "--prefer": "--set source.moments.prefer=HOW",
     "--draw": "--set source.moments.draw=HOW",
     "--duration": "--set duration_s=S",
-    "--opponents": "--set opponents=one or --set opponents=in_turn",
+    "--opponents": "--set opponents=HOW",
     "--tries": "--set adversary.tries=N",
     "--all-conflicts": '--set profile=any --set "adversary.constraints=[on_road]"',
 }
@@ -104,7 +110,11 @@ OPTIONS: Final[dict[str, dict[str, str]]] = {
         )
     },
 }  # fmt: skip
-"""By command and option: what to write instead."""
+"""By command and option: what to write instead; capitals stand for the option's value."""
+_KEYS: Final = re.compile(r"--(?:set|export) ")
+_VALUE: Final = re.compile(r"(?<==)(\[?)([A-Z]+)(\]?)$")
+_TEXTS: Final = {"ID", "TYPE", "NAME", "FILE", "RESULTS"}
+"""Values that are texts even if they look like numbers."""
 
 
 def command(name: str) -> str:
@@ -121,3 +131,53 @@ def explained(error: click.NoSuchOption) -> click.UsageError:
     return click.UsageError(
         f"{path} has no {error.option_name} any more; write {instead}.", error.ctx
     )
+
+
+def in_todays_words(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """A command line with its gone options as keys, and the lines that say what was read as what.
+
+    ``arguments`` are without the program's name and without SUMO's options. Options that cannot be
+    written as keys are left, and so are refused where the command line is parsed.
+    """
+    names = [one for before, one in pairwise(("", *arguments))
+             if not one.startswith("-") and before != "--sumo-home"]  # fmt: skip
+    path = next((one for one in (" ".join(names[:2]), *names[:1]) if one in OPTIONS), "")
+    known = {key: told for key, told in OPTIONS.get(path, {}).items() if _KEYS.match(told)}
+    found: list[str] = []
+    told: dict[str, list[str]] = {}
+    rest = list(arguments)
+    while rest:
+        one = rest.pop(0)
+        option, equals, value = one.partition("=")
+        if option not in known:
+            found.append(one)
+            continue
+        instead = shlex.split(known[option].partition(", or ")[0])
+        if any(_VALUE.search(part) for part in instead):
+            if not equals and not rest:
+                return list(arguments), []
+            value = value if equals else rest.pop(0)
+        elif equals:
+            return list(arguments), []
+        for flag, key in zip(instead[::2], instead[1::2], strict=True):
+            told.setdefault(option, []).append(f"{flag} {_put(found, flag, key, value)}")
+    lines = (f"{path}: {option} is gone; it is read as {' '.join(dict.fromkeys(keys[-2:]))}"
+             for option, keys in told.items())  # fmt: skip
+    return found, list(lines)
+
+
+def _put(found: list[str], flag: str, key: str, value: str) -> str:
+    """The key with the value, put into the command line; a list grows where it is given again."""
+    stands = _VALUE.search(key)
+    if stands is None:
+        found += [flag, key]
+        return key
+    opens, name, _ = stands.groups()
+    text = json.dumps(value, ensure_ascii=False) if name in _TEXTS else value
+    head = key[: stands.start()] + opens
+    before = next((at for at, one in enumerate(found) if opens and one.startswith(head)), None)
+    if before is not None:
+        found[before] = f"{found[before][:-1]}, {text}]"
+        return found[before]
+    found += [flag, f"{head}{text}{']' * bool(opens)}"]
+    return found[-1]

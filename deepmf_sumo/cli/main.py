@@ -126,7 +126,10 @@ def run(arguments: list[str]) -> int:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     given = [one for one in arguments[:end] if one != "--debug"]
-    given = _sumo_home_first(given) + arguments[end:]
+    given, lines = gone.in_todays_words(_sumo_home_first(given))
+    for line in lines:
+        click.echo(f"deepmf-sumo: {line}", err=True)
+    given += arguments[end:]
     try:
         code = commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
     except click.NoSuchOption as error:

@@ -73,12 +73,20 @@ def instead():
 
 
 @pytest.mark.parametrize(("name", "option", "text"), list(instead()))
-def test_an_option_that_is_gone_says_what_to_write(capsys, name, option, text):
+def test_an_option_that_is_gone_is_read_as_its_key_or_says_what_to_write(
+    capsys, name, option, text
+):
     """And what it says is an option that the command has, with a key that it knows."""
-    assert main.run([*name.split(), option, "x"]) == 2
-    assert f"{name} has no {option} any more; write {text}." in " ".join(
-        capsys.readouterr().err.split()
+    told = " ".join(
+        (capsys.readouterr().err, *gone.in_todays_words([*name.split(), option, "7"])[1])
     )
+    if text.startswith(("--set ", "--export ")):
+        assert f"{name}: {option} is gone; it is read as --" in told
+    else:
+        assert main.run([*name.split(), option, "x"]) == 2
+        assert f"{name} has no {option} any more; write {text}." in " ".join(
+            capsys.readouterr().err.split()
+        )
     command = dict(every_command())[name]
     known = {each for one in command.params for each in (*one.opts, *one.secondary_opts)}
     assert option not in known
@@ -88,6 +96,53 @@ def test_an_option_that_is_gone_says_what_to_write(capsys, name, option, text):
     for head, key in re.findall(r"--set (sweep|live)\.(\w+)=", text):
         model = {"sweep": _keys.SweepKeys, "live": _keys.AttachKeys}[head]
         assert key in model.model_fields
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (
+            "attack x --no-risk --seed 1",
+            ["attack", "x", "--set", "sweep.risk=false", "--seed", "1"],
+        ),
+        ("attack x --duration=12", ["attack", "x", "--set", "duration_s=12"]),
+        ("attack x --av-type 7", ["attack", "x", "--set", 'source.moments.av_type="7"']),
+        ("try x --at 5 --at 6.5", ["try", "x", "--set", "source.moments.at_s=[5, 6.5]"]),
+        (
+            "attack x --all-conflicts",
+            ["attack", "x", "--set", "profile=any", "--set", "adversary.constraints=[on_road]"],
+        ),
+        ("data record x --as-it-is", ["data", "record", "x", "--set", "diverse=false"]),
+        ("run x --device cuda", ["run", "x", "--device", "cuda"]),  # which is refused
+        ("attack x --duration", ["attack", "x", "--duration"]),
+        (
+            "--sumo-home x run y --junit",
+            ["--sumo-home", "x", "run", "y", "--set", "sweep.junit=true"],
+        ),
+        ("report run --junit", ["report", "run", "--junit"]),
+        ("show x --seed 3", ["show", "x", "--seed", "3"]),
+    ],
+)
+def test_gone_options_are_keys(given, read):
+    assert gone.in_todays_words(given.split())[0] == read
+
+
+def test_a_script_of_the_release_before_makes_the_same_attacks(tmp_path, capsys):
+    network, least = (
+        str(ROOT / "sumo_nets/four_way/four_way.sumocfg"),
+        ["--at", "40", "--seed", "1"],
+    )
+    gone_words = ["--no-risk", "--duration", "3", "--tries", "1", "--no-pictures"]
+    keys = ["--set", "sweep.risk=false", "--set", "duration_s=3", "--tries", "1", "--no-pictures"]
+    for name, options in (("before", gone_words), ("now", keys)):
+        assert main.run(["attack", network, *least, *options, "--out", str(tmp_path / name)]) == 0
+        said = capsys.readouterr().err
+        assert ("--no-risk is gone; it is read as --set sweep.risk=false" in said) == (
+            name == "before"
+        )
+    one, two = (next((tmp_path / name / "runs").iterdir()) for name in ("before", "now"))
+    assert one.name == two.name
+    assert (one / "spec.yaml").read_text() == (two / "spec.yaml").read_text()
 
 
 def test_help_fits_a_terminal_of_80_columns(capsys):
