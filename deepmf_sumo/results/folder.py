@@ -265,6 +265,8 @@ def _emptied(out: Path, *, resume: bool) -> None:
         for name in MADE:
             forget_map(out / name) if name == RISK else remove(out / name)
     (out / "runs").mkdir(exist_ok=True)
+    for left in (out / "runs").glob(".*.partial"):  # of a batch that was killed
+        remove(left)
     files.write(out / "runs" / ".writable", "")
     (out / "runs" / ".writable").unlink()
 

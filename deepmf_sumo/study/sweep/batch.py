@@ -327,16 +327,19 @@ def _unwritten(
 
 
 def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:
-    """Runs that succeeded while an interrupt came: nothing was heard of them."""
+    """Runs that succeeded while an interrupt or their worker's end came: it told nobody."""
     written = ((task, store.earlier(task)) for task in tasks)
     return {task.run_id: one for task, one in written if one and one["key"] == task.key}
 
 
 def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Progress:
-    """A task has ended, or will be repeated; its result is what the worker wrote, or the reason."""
+    """A task has ended, or will be repeated; its result is what the worker wrote, or the reason.
+
+    A worker may die after it has finished a run, and before it says so: the run counts.
+    """
     if ending.status == "lost":
         return replace(before, lost=before.lost + 1, last=None)
-    if ending.status != "done":
+    if ending.status != "done" and not _unheard(store, [task]):
         status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
         reason = result_module.unfinished(task, status, ending.reason, ending.seconds)
         episode.finish(store.runs, task, reason)

@@ -140,6 +140,10 @@ def copied(
     The manifest names all runs, so that those that no shard has are known to be missing.
     """
     there = [run_id for run_id in runs if run_id in found]
+    read = {path: digest for shard in shards for path, digest in stored.inputs_of(shard).items()}
+    planned = {run_id: one for shard in shards for run_id, one in stored.planned_of(shard).items()}
+    # first, so that --overwrite knows the folder if this is killed
+    store.manifest(runs, {"shards": [str(shard) for shard in shards], "inputs": read}, planned)
     try:
         for run_id in there:
             beside = store.runs / f".{run_id}.partial"
@@ -148,9 +152,6 @@ def copied(
             beside.replace(store.runs / run_id)
     except OSError as error:
         raise OutputError(f"{store.out} cannot be written: {error.strerror or error}.") from None
-    read = {path: digest for shard in shards for path, digest in stored.inputs_of(shard).items()}
-    planned = {run_id: one for shard in shards for run_id, one in stored.planned_of(shard).items()}
-    store.manifest(runs, {"shards": [str(shard) for shard in shards], "inputs": read}, planned)
     return [store.read_run(run_id) for run_id in there]
 
 

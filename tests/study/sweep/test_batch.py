@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 import time
 from pathlib import Path
 
@@ -125,6 +126,31 @@ def test_a_run_that_ends_as_the_interrupt_comes_is_kept(tiny, tmp_path):
     assert there == told + 1
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["runs"], summary["interrupted"]) == (there, True)
+
+
+def test_a_run_counts_whose_worker_dies_before_it_says_that_it_is_done(tiny, tmp_path, monkeypatch):
+    specs, out = [spec.load(tiny_network.spec(tiny, "once"))], tmp_path / "out"
+    (made,) = batch.run(specs, batch.Options(out=tmp_path / "whole"))
+
+    def finished_then_killed(store, left, options):
+        shutil.copytree(tmp_path / "whole" / "runs" / made["run_id"], store.runs / made["run_id"])
+        yield workers.Finished(index=0, status="crashed", reason="the worker died: SIGKILL")
+
+    monkeypatch.setattr(batch, "_endings", finished_then_killed)
+    (found,) = batch.run(specs, batch.Options(out=out))
+    assert (found["status"], found["error"]) == ("ok", "")
+    assert same_bytes.differences(tmp_path / "whole", out) == []
+
+
+def test_what_a_killed_sweep_began_is_gone_after_a_resume(tiny, tmp_path):
+    specs, out = [spec.load(tiny_network.spec(tiny, "once"))], tmp_path / "out"
+    (made,) = batch.run(specs, batch.Options(out=out))
+    left = out / "runs" / f".{made['run_id']}.partial"
+    left.mkdir()
+    (left / "result.json").write_text("{}")
+    (found,) = batch.run(specs, batch.Options(out=out, resume=True))
+    assert found["status"] == "ok"
+    assert [path.name for path in (out / "runs").iterdir()] == [made["run_id"]]
 
 
 def test_other_settings_are_not_resumed(tiny, tmp_path):
