@@ -155,7 +155,8 @@ def comfortable(
 def off_road(situation: Situation, position_m: Floats) -> Bools:
     """(N, S) whether positions (N, S, 2) of the opponent are off the road, after it was on it.
 
-    A vehicle that is off the road now may come onto it. A pedestrian never is: see `walked_ground`.
+    A vehicle that is off the road now may come onto it. A pedestrian never is off it: where people
+    can be is judged by `off_lane_paths`.
     """
     if situation.on_foot:
         return np.zeros(position_m.shape[:2], bool)

@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from deepmf_sumo.deepmf import candidates, constraints, scoring, support, walked_ground
+from deepmf_sumo.deepmf import candidates, constraints, scoring, support
 from deepmf_sumo.deepmf.candidates import Candidates, References
 from deepmf_sumo.deepmf.constraints import Constraint, Mask
 from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
-from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths
+from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths, on_ground, staying_on_ground
 from deepmf_sumo.deepmf.opponent import ByClass, choose_opponent, highest, tried
 from deepmf_sumo.deepmf.reference_paths import OwnPath, goal_paths, own_paths
 from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
@@ -322,7 +322,7 @@ class DeepMF:
         watch.lap("goals")
         references = References.joined(parts)
         if situation.person:
-            references = walked_ground.staying(situation, references)
+            references = staying_on_ground(situation, references)
         tracked = track(references.position_m, start, references.limits)
         watch.lap("track")
         probability = candidates.weights(modes, tracked.position_m[count:], prediction)
@@ -331,7 +331,7 @@ class DeepMF:
             probability = candidates.comfortable(situation, probability, tracked, settings.comfort)
         own = candidates.ranked(references, tracked, probability, modes)
         if situation.person:
-            own = walked_ground.among(situation, own)
+            own = on_ground(situation, own)
         if settings.most_candidates is not None:
             most, without = settings.most_candidates, settings.constrained
             own = candidates.shortlisted(situation, own, most, without, attack.begun)

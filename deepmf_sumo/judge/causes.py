@@ -32,7 +32,6 @@ import numpy as np
 from deepmf_sumo.judge.accident_types import CUT_IN_S
 from deepmf_sumo.judge.avoidability import reference_drivers
 from deepmf_sumo.judge.avoidability.av_path import AvPath, along_lanes
-from deepmf_sumo.judge.avoidability.changes import Drive
 from deepmf_sumo.judge.avoidability.encounter import (
     Encounter,
     MovingVehicle,
@@ -44,6 +43,7 @@ from deepmf_sumo.judge.avoidability.encounter import (
 )
 from deepmf_sumo.judge.avoidability.grading import Judgement, evasive_manoeuvres
 from deepmf_sumo.judge.avoidability.intention import is_person, models_for
+from deepmf_sumo.judge.avoidability.manoeuvres import Drive
 from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once

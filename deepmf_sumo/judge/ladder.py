@@ -9,8 +9,20 @@
 - **C**, contrived: it says little about the AV, see `_contrived`.
 - **D**, unavoidable: no reference driver avoids it. The search may, because it knows the future.
 
-Hits by pedestrians and cyclists have rules of their own where those of vehicles make no sense, see
-`people`.
+Hits by pedestrians and cyclists have rules of their own where those of vehicles make no sense:
+
+- **Errors of the AV**: it strikes a person who stood on the road, in sight, for 2.5 s; it runs a
+  red light; it left the road, and hits somebody there; it hits somebody on a pedestrian crossing,
+  unless its light let it go straight on (what a crossing's light was is inferred from the AV's, see
+  `crossings`). A cyclist who rode on the road has the rights of a vehicle, too. Not giving way at a
+  crossing is an error only where the driver of `avoidability.intention` would have: nobody gives
+  way to whom nobody could see.
+- **Errors of the person**: a pedestrian stepped, a cyclist rode, onto the road where there is no
+  crossing, or against a light; a cyclist rode against the traffic. Pedestrians have no direction of
+  traffic, and no place is off the road for them: beside it is where they belong.
+- **Contrived**: the AV stood or crept; its speed at the impact was below 5 km/h (its own change of
+  velocity says nothing: people are light); the person ran into its side or rear; no person moves
+  like that; one of the two had touched another before.
 
 C comes first: an error of the AV in a contrived hit is not a finding. All that a rung is made of is
 driven motion and the map; which method attacked has no influence. The rules were compared with what
@@ -23,16 +35,18 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from deepmf_sumo.judge import people
+from deepmf_sumo.judge import impact
 from deepmf_sumo.judge.accident_types import CUT_IN_S
+from deepmf_sumo.judge.avoidability import intention
 from deepmf_sumo.judge.avoidability.intention import is_person
 from deepmf_sumo.judge.conflict_types import Meeting
+from deepmf_sumo.judge.crossings import before_hit, light_let_it_go, on_crossing, on_road, rides
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.collision import collision_clean
 from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
-from deepmf_sumo.scene import Bools, Floats, Ints, Rollout
+from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import road
 from deepmf_sumo.scene.geometry.slow import WALKING_MPS
 from deepmf_sumo.scene.signals import FORBIDS
@@ -60,6 +74,10 @@ LIMIT: Final = 1.3
 MOVED_OVER_M: Final = 0.5
 _REAR: Final = {3, 4, 5}
 """Impact sectors of the rear end and its corners."""
+_LEAST_IMPACT_MPS: Final = 5.0 / 3.6
+"""Walking speed: cars that roll against people as slowly push them."""
+_RIDING_MPS: Final = 1.0
+_MOSTLY_RIDING: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,13 +155,13 @@ def _contrived(episode: Episode, hit: Hit) -> Iterator[str]:
     - The AV or the opponent had touched another road user before.
     - A supporter touched anybody: it was to take ways out from the AV by its place alone.
 
-    For people `people.contrived` replaces the second to the fourth.
+    For people `_contrived_by_person` replaces the second to the fourth.
     """
     rollout, meeting = episode.rollout, hit.meeting
     if stood_or_crept(_speeds(rollout, meeting.av, meeting.step, LAST_S)):
         yield "av_stood"
     if is_person(rollout.tracks, meeting.other):
-        yield from people.contrived(episode, hit)
+        yield from _contrived_by_person(episode, hit)
     else:
         if hit.delta_v_mps < LEAST_DELTA_V_MPS:
             yield "low_delta_v"
@@ -193,12 +211,12 @@ def _av_error(episode: Episode, hit: Hit) -> str:
     person = is_person(rollout.tracks, meeting.other)
     if _stood(rollout, meeting) and (
         not person
-        or people.stood(episode, meeting, _last(rollout, meeting.other, meeting.step, STOOD_S))
+        or _person_stood(episode, meeting, _last(rollout, meeting.other, meeting.step, STOOD_S))
     ):
         return "struck_standing"
     if _ran_light(rollout, meeting):
         return "ran_light"
-    error = people.av_error(episode, hit) if person else None
+    error = _error_to_person(episode, hit) if person else None
     return _av_error_by_conflict(hit) if error is None else error
 
 
@@ -235,7 +253,7 @@ def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:
 def _opponent_error(episode: Episode, hit: Hit) -> str:
     """What the opponent did wrong; empty where nothing is known."""
     person = is_person(episode.rollout.tracks, hit.meeting.other)
-    error = people.opponent_error(episode, hit) if person else None
+    error = _error_of_person(episode, hit) if person else None
     return _opponent_error_by_conflict(episode, hit) if error is None else error
 
 
@@ -294,3 +312,68 @@ def _last(rollout: Rollout, row: int, step: int, seconds: float) -> Ints:
     steps = np.arange(max(0, step - round(seconds / rollout.dt_s)), step)
     steps = steps[rollout.tracks.valid[row, steps]]
     return steps if len(steps) else np.array([step])
+
+
+def _contrived_by_person(episode: Episode, hit: Hit) -> Iterator[str]:
+    """What makes a hit by a person say little about the AV, besides the reasons of all hits."""
+    rollout, contact = episode.rollout, episode.rollout.first("av_opponent")
+    assert contact is not None
+    if rollout.tracks.speed_mps[hit.meeting.av, max(contact.step - 1, 0)] < _LEAST_IMPACT_MPS:
+        yield "low_impact_speed"
+    face = impact.first_touch(rollout, contact).ran_into
+    if face is not None:
+        yield "ran_into_rear" if face == "rear" else "ran_into_side"
+
+
+def _person_stood(episode: Episode, meeting: Meeting, steps: Ints) -> bool:
+    """Whether a person who stood at some steps (K) did so on the road, and in sight."""
+    rollout, road_map, row = episode.rollout, episode.case.road, meeting.other
+    if not intention.on_road(rollout, road_map, row, steps).all():
+        return False
+    return intention.in_sight_for(rollout, road_map, row, steps)
+
+
+def _error_to_person(episode: Episode, hit: Hit) -> str | None:
+    """What the AV did wrong to a person who did not stand there; empty for nothing.
+
+    None where the rules for vehicles decide.
+    """
+    if not on_road(episode.case.road, hit.meeting):
+        return "left_road" if _left_road(episode.rollout, episode.case.road, hit.meeting) else ""
+    if on_crossing(episode.case.road, hit.meeting):
+        return "" if light_let_it_go(episode.rollout, hit.meeting) else "took_crossing"
+    return None if rides(episode.rollout, episode.case.road, hit.meeting) else ""
+
+
+def _error_of_person(episode: Episode, hit: Hit) -> str | None:
+    """What the person did wrong; empty for nothing, None where the rules for vehicles decide."""
+    rollout, meeting, road_map = episode.rollout, hit.meeting, episode.case.road
+    if not on_road(road_map, meeting):
+        return ""
+    if on_crossing(road_map, meeting):
+        return "crossed_on_red" if light_let_it_go(rollout, meeting) else ""
+    if rollout.tracks.kinds[meeting.other] == "pedestrian":
+        return "stepped_out"
+    if not rides(rollout, road_map, meeting):
+        return "rode_out"
+    return "rode_against" if _rode_against(rollout, road_map, meeting) else None
+
+
+def _left_road(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool:
+    """Whether the AV was on the road before the hit, and no longer is."""
+    steps = before_hit(rollout, meeting)
+    tracks, row = rollout.tracks, meeting.av
+    there = road.on_road(road_map, tracks.position_m[row, steps], tracks.z_m[row, steps])
+    return bool(there.any() and not there[-1])
+
+
+def _rode_against(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool:
+    """Whether a cyclist mostly rode against the direction of its lanes."""
+    tracks, row, steps = rollout.tracks, meeting.other, before_hit(rollout, meeting)
+    velocity = tracks.velocity_mps[row, steps]
+    course = np.arctan2(velocity[:, 1], velocity[:, 0])
+    against = road.against_traffic(
+        road_map, tracks.position_m[row, steps], course, tracks.z_m[row, steps]
+    )
+    against &= np.hypot(*velocity.T) > _RIDING_MPS
+    return bool(len(steps) and against.mean() > _MOSTLY_RIDING)

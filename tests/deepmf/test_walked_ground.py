@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo.deepmf import walked_ground
+from deepmf_sumo.deepmf import off_lane_paths
 from deepmf_sumo.deepmf.candidates import References
 from deepmf_sumo.deepmf.opponent import reach_scores
 from deepmf_sumo.deepmf.situation import Situation
@@ -45,7 +45,7 @@ def to_the(direction_rad, speed, start):
 
 def staying(situation, way):
     references = References.of("mode", way, LIMITS.rows(len(way)))
-    return walked_ground.staying(situation, references).position_m
+    return off_lane_paths.staying_on_ground(situation, references).position_m
 
 
 def test_a_reference_stops_where_the_verge_ends():
@@ -77,7 +77,7 @@ def test_who_was_put_elsewhere_comes_to_the_road_but_through_no_house():
     wall = house((39, -12), (41, -8))
     situation = situation_at(street(buildings=(wall,)), "pedestrian", 40, -20, UP, 1.4)
     ways = np.concatenate([to_the(UP, 3.2, (40, -20)), to_the(UP, 3.2, (43, -20))])
-    off = walked_ground.off_ground(situation, ways)
+    off = off_lane_paths.off_ground(situation, ways)
     assert off.any(axis=1).tolist() == [True, True]
     first = off.argmax(axis=1)
     assert ways[0, first[0], 1] == pytest.approx(-12.25, abs=0.35)  # the wall
@@ -109,10 +109,10 @@ def test_candidates_that_leave_the_ground_are_none():
     along, over, far = (
         to_the(course, speed, (40, -3))[0] for course, speed in ((0.0, 1.4), (UP, 1.0), (UP, 2.0))
     )
-    own = walked_ground.among(situation, own_of(over, along, far))
+    own = off_lane_paths.on_ground(situation, own_of(over, along, far))
     np.testing.assert_array_equal(own.forecast.futures.position_m, along[None])
     assert own.forecast.probability.tolist() == [1.0]
-    last = walked_ground.among(situation, own_of(far, over))  # none stays: who leaves it last
+    last = off_lane_paths.on_ground(situation, own_of(far, over))  # none stays: who leaves it last
     np.testing.assert_array_equal(last.forecast.futures.position_m, over[None])
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.judge.avoidability.changes import COMFORTABLE_MPS2, Drive
+from deepmf_sumo.judge.avoidability.manoeuvres import COMFORTABLE_MPS2, Drive
 
 DT = 0.1
 STEPS = 101
