@@ -33,17 +33,17 @@ def run(
 ) -> Results:
     """Run specs, or a plan, and write a result folder, as ``deepmf-sumo run`` does.
 
-    Runs, tables and limits are those of the command, byte for byte. Two defaults differ: the
+    Runs, tables and limits equal the command's, byte for byte. Two defaults differ: the
     command draws the pictures of specs and the figures of plans unless told otherwise.
 
-    Runs are done in worker processes, so a script calls this below ``if __name__ == "__main__":``.
+    Runs are made in worker processes, so a script calls this below ``if __name__ == "__main__":``.
 
     Args:
         specs: a spec file, or several, or one plan; ``"paper"`` is the plan of the package.
         out: the result folder.
         sets: ``KEY=VALUE``, each overrides a key of the plan or of every spec.
-        seeds: every spec is run with each of these; none means its own. Those of a plan are a key
-            of it.
+        seeds: every spec is run with each of these; none means its own. A plan has its own
+            key for them.
         jobs: number of runs at a time.
         pictures: draw each run as ``picture.png``.
         figures: draw the figures of a plan.
@@ -52,7 +52,7 @@ def run(
         resume: keep the runs that an earlier call finished.
         overwrite: delete earlier results in ``out``; with neither they are refused.
 
-    Returns all runs, those that failed included: see ``status``.
+    Returns all runs, also failed ones: see ``status``.
 
     Raises SpecError for a wrong spec, UsageError for a plan beside other files or ``seeds``,
     OutputError for a folder that cannot be used; RunError where no worker starts.

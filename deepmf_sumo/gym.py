@@ -61,8 +61,8 @@ class Reward:
         progress: for each metre driven.
         comfort: for each second at an acceleration of 1 m/s2, growing with its square.
         contact: taken away at the end of an episode in which the AV touched another vehicle.
-        findings_only: of the opponent's hits only findings count (`judge.ladder`), so that hits
-            that no driver could avoid, and contrived ones, teach nothing.
+        findings_only: of the opponent's hits only findings count (`judge.ladder`), so that
+            unavoidable and contrived hits teach nothing.
 
     Raises UsageError for a number that is not finite.
     """
@@ -216,10 +216,10 @@ class AttackEnv(_Env):  # type: ignore[misc]
         view: what a planner sees now. case: what is simulated.
         attack: the last finished episode, including what drove the AV at each step.
 
-    An environment that starts an episode ends that of another environment in the same process.
+    An environment that starts an episode ends the episode of another in the same process.
 
-    Raises SpecError for an invalid spec, UsageError for one whose adversary simulates an attack
-    several times.
+    Raises SpecError for an invalid spec, UsageError for a spec whose adversary simulates an
+    attack several times.
     """
 
     metadata: Final[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -261,7 +261,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         """Start the next scene, or ``options={"scene": id}``.
 
-        ``seed`` is that of the run; by default the spec's for the first episode, then random ones.
+        ``seed`` is the run's; by default the spec's for the first episode, then a random one.
         """
         self.close()
         if seed is None and not self._seeded:

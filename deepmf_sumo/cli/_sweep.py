@@ -147,11 +147,11 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
         ),
         click.option(
             "--jobs", "-j", type=click.IntRange(1, 4096),
-            help="Do this number of runs at a time.  [default: 1; with Ray all its processors]",
+            help="Make this number of runs at a time.  [default: 1; with Ray all its processors]",
         ),
         click.option(
             "--shard", metavar="I/N",
-            help="Do every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
+            help="Make every N-th run, from the I-th on; `deepmf-sumo merge` joins the shards.",
         ),
     )  # fmt: skip
 
@@ -164,7 +164,7 @@ def _written() -> tuple[Callable[..., Any], ...]:
         ),
         click.option(
             "--export", "formats", metavar="FORMAT", multiple=True,
-            help="Write each run in this format as well, as `deepmf-sumo export` does; may be"
+            help="Also write each run in this format, as `deepmf-sumo export` does; may be"
             " repeated.",
         ),
     )  # fmt: skip

@@ -64,7 +64,7 @@ def command(
     Start SUMO with --remote-port P --num-clients 2; the other client calls setOrder(1). Both step
     together. Ends when the vehicle leaves, at --until, after live.attacks, or at Ctrl-C, and hands
     its opponent back to SUMO; a second Ctrl-C stops immediately, which ends SUMO. Several vehicles
-    are attacked at the same time, each for itself.
+    are attacked at the same time, independently of each other.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._keys import LIVE, AttachKeys, taken

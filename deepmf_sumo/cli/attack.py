@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--moments-of", "of", metavar="OUT", type=click.Path(path_type=Path),
-    help="Attack the same vehicles at the same times as in that result folder, to compare.",
+    help="Attack the vehicles and times of this result folder, to compare.",
 )  # fmt: skip
 @click.option(
     "--from", "from_s", metavar="S", type=FiniteRange(min=0),
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 @click.option(
     "--tries", type=click.IntRange(1, 1000), metavar="N",
     help="Simulate an attack at most N times, until it finds an error of the AV or an"
-    " avoidable hit; 1 is a quick look.  [default: that of the profile, 4 for fair]",
+    " avoidable hit; 1 is a quick look.  [default: the profile's, 4 for fair]",
 )  # fmt: skip
 @click.option("--planner", metavar="NAME", help="Let this planner drive the AV.  [default: idm]")
 @set_option

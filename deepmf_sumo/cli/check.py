@@ -31,7 +31,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 )  # fmt: skip
 @click.option(
     "--jobs", "-j", type=click.IntRange(1, 4096), default=1, show_default=True,
-    help="Do this number of repeated runs at a time.",
+    help="Make this number of repeated runs at a time.",
 )  # fmt: skip
 @format_option
 @click.option("--junit", type=_FILE, help="Write JUnit XML to this file.")
@@ -57,7 +57,7 @@ def command(
     \b
     Exit codes: 0 all holds; 1 a threshold or an expectation is broken, or something is worse than
     the baseline; 2 a file is wrong; 3 no verdict: runs failed or are missing, the attack is not
-    that of the baseline, or the runs are too few to tell whether something is worse.
+    the baseline's, or the runs are too few to tell whether something is worse.
     """
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.results import gate

@@ -48,7 +48,7 @@ _TOP: Final = 10
     "--beside", "results", metavar="OUT", type=RESULTS,
     help="Show the attacks of this result folder at the same places.",
 )  # fmt: skip
-@click.option("--trj", is_flag=True, help="Write the traffic as trajectories for FHWA's SSAM, too.")
+@click.option("--trj", is_flag=True, help="Also write the traffic as trajectories for FHWA's SSAM.")
 @click.option("--overwrite", is_flag=True, help="Replace the tables that the folder has.")
 @format_option
 @click.pass_context
@@ -67,7 +67,7 @@ def command(
     """List the conflicts of the traffic of CONFIG, a .sumocfg, as it is: nothing is attacked.
 
     A conflict is, as in FHWA's SSAM, a time to collision and a post-encroachment time within the
-    limits. All pairs of vehicles, bicycles and persons are looked at, every 0.1 s, by their boxes.
+    limits. All pairs of vehicles, bicycles and persons are compared, every 0.1 s, by their boxes.
     Writes conflicts.csv, places.csv and conflicts.json, and shows the places with most conflicts;
     with --beside also what attacks found there. --format prints the conflicts instead. --trj also
     writes traffic.trj, which SSAM opens.

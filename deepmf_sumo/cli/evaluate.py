@@ -20,7 +20,7 @@ def command(data: tuple[Path, ...], name: str, form: str, card: bool) -> None:
     """Measure the three predictors on the recordings DATA, which should not be training data.
 
     Records that cannot be used are named and left out. The figures of baselines without a network
-    are shown as well.
+    are shown too.
     """
     from deepmf_sumo.cli import _evaluation, _screen
     from deepmf_sumo.deepmf.networks import weights

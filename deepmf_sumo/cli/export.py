@@ -32,7 +32,7 @@ _LISTED: Final = 5
 @click.option("--to", "name", metavar="FORMAT", required=True, help="Write this format.")
 @click.option(
     "--only", type=click.Choice(["hits", "findings"]),
-    help="Write hits of the opponent alone, or findings: errors of the AV and avoidable hits.",
+    help="Write only hits, or only findings: errors of the AV and avoidable hits.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),

@@ -16,7 +16,7 @@ from deepmf_sumo.cli._parameters import results_argument
 )  # fmt: skip
 @click.option(
     "--gis", "forms", type=click.Choice(["geojson", "gpkg"]), multiple=True,
-    help="Write places and attacks for QGIS and others, too; may be repeated.",
+    help="Also write places and attacks for QGIS and other programs; may be repeated.",
 )  # fmt: skip
 @click.option("--open", "show", is_flag=True, help="Show the page in the browser.")
 def command(

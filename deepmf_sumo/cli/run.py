@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     "name_filter",
     metavar="TEXT",
     default="",
-    help="Do only the runs of specs whose id contains TEXT.",
+    help="Make only the runs of specs whose id contains TEXT.",
 )
 @click.option(
     "--without", metavar="METHOD", multiple=True,

@@ -49,7 +49,7 @@ def command(
     overwrite: bool,
     form: str,
 ) -> None:
-    """Say what is wrong with NET, a .net.xml or .sumocfg, by a guideline; nothing is simulated.
+    """Check NET, a .net.xml or .sumocfg, against a guideline; nothing is simulated.
 
     Yellow and intergreen times, conflicting greens, left turns through gaps, junctions without
     a rule of priority, missing links, merges, steps of the limit, tight turns: one sentence for

@@ -56,8 +56,8 @@ def command(
 
     The client connects, steps and drives its vehicle as with SUMO alone; it needs neither setOrder
     nor another number of clients. Attacks happen in its steps. After load, SUMO starts anew, and
-    attacks go on there. Ends when the client has left; the results are those of attach. A script
-    may also start it, with traci.start, in place of SUMO.
+    attacks go on there. Ends when the client has left; the results are as attach writes them. A
+    script may also start it, with traci.start, in place of SUMO.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._keys import LIVE, LiveKeys, taken

@@ -40,7 +40,7 @@ SIDES: Final = ("before", "after")
 )  # fmt: skip
 @click.option(
     "--everywhere", is_flag=True,
-    help="Attack anywhere. Without it and without --junction and --edge attacks are at what is"
+    help="Attack anywhere. Without it, --junction and --edge, attacks are at what is"
     " changed.",
 )  # fmt: skip
 @click.pass_context
@@ -54,9 +54,9 @@ def command(
     sets: tuple[str, ...],
     **wanted: Any,
 ) -> None:
-    """Change the network of CONFIG, a .sumocfg, attack it with and without the changes, compare.
+    """Change the network of CONFIG, a .sumocfg, and compare attacks with and without the changes.
 
-    Half of the --moments are chosen in the traffic before the changes and half in that after them,
+    Half of the --moments are chosen in the traffic before the changes and half after them,
     and all are attacked on both sides: the same vehicle at the same time. This avoids favouring
     either design. Writes OUT/before and OUT/after with results, the changed network, and
     OUT/patch, which netconvert and netedit take. --set sets what attack sets.
