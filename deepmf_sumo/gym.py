@@ -105,7 +105,7 @@ def _motion(view: View) -> tuple[Floats, float]:
     """The AV's position (2) and speed."""
     tracks = view.history
     row = tracks.row(view.av_id)
-    return tracks.position_m[row, -1], float(tracks.speed_mps[row, -1])
+    return tracks.position_m[row, -1], float(np.hypot(*tracks.velocity_mps[row, -1]))
 
 
 class ObservationBuilder:
@@ -173,9 +173,11 @@ class ObservationBuilder:
 
 def _path(view: View, origin: Floats, heading: float) -> Floats:
     """(K, 3) points along the AV's route; none if it is not on a lane."""
-    if view.av_path_m is None or polylines.arc_lengths(view.av_path_m)[-1] < PATH_SPACING_M:
+    if view.av_path_m is None:
         return np.zeros((0, 3))
     length = polylines.arc_lengths(view.av_path_m)[-1]
+    if length < PATH_SPACING_M:
+        return np.zeros((0, 3))
     count = min(PATH_POINTS, int(length / PATH_SPACING_M))
     along = PATH_SPACING_M * np.arange(1.0, count + 1.0)
     points, _ = polylines.points_at(view.av_path_m, along)

@@ -29,7 +29,9 @@ def difference(to_rad: Floats | float, from_rad: Floats | float) -> Floats:
 def unit(heading_rad: Floats | float) -> Floats:
     """(..., 2) unit vectors of headings (...)."""
     heading = np.asarray(heading_rad, float)
-    return np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    found = np.empty((*heading.shape, 2))  # `np.stack` takes three times as long for a few
+    found[..., 0], found[..., 1] = np.cos(heading), np.sin(heading)
+    return found
 
 
 def to_local(points_m: Floats, origin_m: Floats, heading_rad: float) -> Floats:

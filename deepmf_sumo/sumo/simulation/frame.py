@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -82,7 +83,7 @@ class Frame:
 
         ``states``: (N, 5) x, y of the front bumper, angle (degrees), speed, z. ``length_m``: (N).
         """
-        table = np.array(states, float).reshape(-1, 5)
+        table = np.fromiter(chain.from_iterable(states), float, 5 * len(states)).reshape(-1, 5)
         centre, heading = frames.from_sumo(table[:, :2], table[:, 2], length_m)
         return Frame(
             ids=ids,
@@ -98,6 +99,12 @@ class Frame:
         if not poses:
             return self
         more = Frame.of_poses(poses)
+        rows = [self.ids.index(agent) for agent in more.ids if agent in self.ids]
+        if len(rows) == len(more.ids):  # mostly: only the AV and an opponent, where many are
+            changed = {name: getattr(self, name).copy() for name in _ARRAYS}
+            for name, values in changed.items():
+                values[rows] = getattr(more, name)
+            return Frame(ids=self.ids, **changed)
         row_of = {agent: row for row, agent in enumerate([*self.ids, *more.ids])}
         rows = list(row_of.values())  # the given pose in the place of the frame's own
         both = {

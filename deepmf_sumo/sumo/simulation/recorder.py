@@ -48,6 +48,8 @@ class Recorder:
         self._steps = steps
         self._row: dict[AgentId, int] = {}
         self._ids: list[AgentId] = []
+        self._last: tuple[list[AgentId], Ints] = [], np.zeros(0, int)
+        self._shown: tuple[list[int], tuple[AgentId, ...], tuple[AgentKind, ...]] = [], (), ()
         self._kinds: list[AgentKind] = []
         self._size_m = np.zeros((64, 3))
         # x, y, z, heading, vx, vy
@@ -70,7 +72,7 @@ class Recorder:
             state: (N, K, 6) x, y, z, heading, vx, vy; zeros where an agent is absent.
             driver: (N, K) Driver numbers; NOBODY where an agent is absent.
         """
-        rows = np.array([self._row_of(agent) for agent in ids], int)
+        rows = self._rows_of(ids)
         steps = slice(self.step + 1, self.step + 1 + driver.shape[1])
         self.step += driver.shape[1]
         self._state[rows, steps] = state
@@ -114,14 +116,17 @@ class Recorder:
 
     def sizes_m(self, ids: list[AgentId]) -> Floats:
         """(N, 2) length and width of agents."""
-        return self._size_m[[self._row[agent] for agent in ids], :2]
+        return self._size_m[self._rows_of(ids), :2]
 
     def _tracks(self, rows: Ints, a: int, b: int) -> Tracks:
         state = self._state[rows, a:b]
         listed = rows.tolist()
+        if listed != self._shown[0]:  # mostly those of the last step
+            ids = tuple([self._ids[row] for row in listed])
+            self._shown = listed, ids, tuple([self._kinds[row] for row in listed])
         return Tracks(
-            ids=tuple(self._ids[row] for row in listed),
-            kinds=tuple(self._kinds[row] for row in listed),
+            ids=self._shown[1],
+            kinds=self._shown[2],
             size_m=self._size_m[rows],
             position_m=state[..., :2],
             z_m=state[..., 2],
@@ -129,6 +134,12 @@ class Recorder:
             velocity_mps=state[..., 4:],
             valid=self._valid[rows, a:b],
         )
+
+    def _rows_of(self, ids: list[AgentId]) -> Ints:
+        """(N) rows of agents, which get one where they appear; mostly those of the last step."""
+        if ids != self._last[0]:
+            self._last = list(ids), np.array([self._row_of(agent) for agent in ids], int)
+        return self._last[1]
 
     def _row_of(self, agent: AgentId) -> int:
         row = self._row.get(agent)

@@ -5,7 +5,7 @@ teleport). Containers are none at all: SUMO has them at stops and in vehicles. P
 stop are on foot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from deepmf_sumo.scene import AgentId, AgentKind, Floats, agent_ids
 from deepmf_sumo.sumo.simulation.frame import Body, Frame
 from deepmf_sumo.sumo.simulation.long_vehicles import LongVehicles, State
-from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import SumoApi, asking
 
 _KINDS: Final[Mapping[str, AgentKind]] = {
     **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
@@ -67,9 +67,9 @@ class Bodies:
         """What an agent is, whatever its class in SUMO says: a made person is a vehicle there."""
         self._known[agent] = body
 
-    def __contains__(self, agent: AgentId) -> bool:
-        """Whether an agent has been asked for."""
-        return agent in self._known
+    def unknown(self, states: Mapping[AgentId, Any]) -> set[AgentId]:
+        """Those agents that have not been asked for."""
+        return states.keys() - self._known.keys()
 
     def ask(self, agent: AgentId) -> Body:
         """Of an agent that is present, or has been asked for before."""
@@ -101,7 +101,8 @@ class Bodies:
 
     def sizes_m(self, listed: Sequence[AgentId]) -> Floats:
         """(N, 2) length and width."""
-        return np.array([self._known[one].size_m[:2] for one in listed]).reshape(-1, 2)
+        known = self._known
+        return np.array([known[one].size_m for one in listed]).reshape(-1, 3)[:, :2]
 
 
 class TrafficReader:
@@ -109,6 +110,9 @@ class TrafficReader:
 
     def __init__(self, api: SumoApi, av_id: AgentId | None = None) -> None:
         self._api = api
+        self._agents: dict[str, AgentId] = {}
+        self._lengths: tuple[list[AgentId], Floats] = [], np.zeros(0)
+        self._vehicles, self._persons = asking(api, "vehicle"), asking(api, "person")
         self.bodies = Bodies(api, av_id)
 
     def body(self, agent: AgentId) -> Body:
@@ -119,33 +123,47 @@ class TrafficReader:
         """All road users, vehicles before persons, sorted by id; parts follow their vehicle."""
         states = self.states()
         ids = list(states)
-        return Frame.of_sumo(ids, list(states.values()), self.bodies.sizes_m(ids)[:, 0])
+        if ids != self._lengths[0]:  # mostly those of the last step
+            self._lengths = ids, self.bodies.sizes_m(ids)[:, 0]
+        return Frame.of_sumo(ids, list(states.values()), self._lengths[1])
 
     def states(self) -> dict[AgentId, State]:
         """As `read`, in SUMO's terms: for a reader of many steps, which converts all together."""
         states: dict[AgentId, State] = {}
-        bodies, bent = self.bodies, self.bodies.bent
-        for domain, name, agent in self._present():
-            x_m, y_m, z_m = domain.getPosition3D(name)
-            if x_m <= _NOWHERE_M or y_m <= _NOWHERE_M:
-                continue
-            if agent not in bodies:
-                bodies.ask(agent)
-            speed_mps = domain.getSpeed(name)
-            # far below 0 where SUMO has none yet
-            state = (x_m, y_m, domain.getAngle(name), speed_mps if speed_mps > 0 else 0.0, z_m)
-            if agent in bent:
-                states |= bodies.long.boxes(agent, state)
-            else:
-                states[agent] = state
-        return states
+        ask = self._vehicles
+        for name in sorted(self._api.vehicle.getIDList()):
+            x_m, y_m, z_m = ask.position(name)
+            if x_m > _NOWHERE_M and y_m > _NOWHERE_M:
+                speed_mps = ask.speed(name)  # far below 0 where SUMO has none yet
+                states[name] = (
+                    x_m, y_m, ask.angle(name), speed_mps if speed_mps > 0 else 0.0, z_m
+                )  # fmt: skip
+        self._read_persons(states)
+        bodies = self.bodies
+        for agent in sorted(bodies.unknown(states)):
+            bodies.ask(agent)
+        return self._with_boxes(states) if not bodies.bent.isdisjoint(states) else states
 
-    def _present(self) -> Iterator[tuple[Any, str, AgentId]]:
-        """SUMO's domain and id of all candidates, and their agents."""
-        vehicle, person = self._api.vehicle, self._api.person
-        for name in sorted(vehicle.getIDList()):
-            yield vehicle, name, name
-        rides_in, agent_of = person.getVehicle, agent_ids.of_person
-        for name in sorted(person.getIDList()):
-            if not rides_in(name):
-                yield person, name, agent_of(name)
+    def _read_persons(self, states: dict[AgentId, State]) -> None:
+        """Add the persons on foot."""
+        ask, agents = self._persons, self._agents
+        for name in sorted(self._api.person.getIDList()):
+            if ask.rides_in(name):
+                continue
+            x_m, y_m, z_m = ask.position(name)
+            if x_m > _NOWHERE_M and y_m > _NOWHERE_M:
+                agent = agents.get(name)
+                if agent is None:
+                    agent = agents[name] = agent_ids.of_person(name)
+                speed_mps = ask.speed(name)
+                states[agent] = (
+                    x_m, y_m, ask.angle(name), speed_mps if speed_mps > 0 else 0.0, z_m
+                )  # fmt: skip
+
+    def _with_boxes(self, states: dict[AgentId, State]) -> dict[AgentId, State]:
+        """The same, with all boxes of vehicles that bend."""
+        bodies = self.bodies
+        found: dict[AgentId, State] = {}
+        for agent, state in states.items():
+            found |= bodies.long.boxes(agent, state) if agent in bodies.bent else {agent: state}
+        return found

@@ -20,6 +20,7 @@ class RouteAhead:
         self._id = vehicle_id
         self._shapes: dict[str, Floats] = {}
         self._lengths_m: dict[str, float] = {}
+        self._measured: dict[str, polylines.Measured | None] = {}
         self._lanes: tuple[str, ...] = ()
         self._line: polylines.Measured | None = None
 
@@ -35,7 +36,7 @@ class RouteAhead:
         if not lane:
             return None
         shape, along = self._shape(lane), self._along(lane)
-        against = self._against(shape, along)
+        against = self._against(lane, along)
         lanes = (lane, *self._lanes_ahead(lane), "against" * against)
         if lanes != self._lanes:
             self._lanes = lanes
@@ -63,14 +64,19 @@ class RouteAhead:
         position_m = float(self._api.vehicle.getLanePosition(self._id))
         return position_m * self._shape_m(lane) / lane_m
 
-    def _against(self, shape: Floats, along_m: float) -> bool:
+    def _against(self, lane: str, along_m: float) -> bool:
         """Whether the vehicle drives against its lane, as SUMO does to overtake.
 
         Networks have lanes inside junctions that are a single point: they have no direction.
         """
-        if not np.ptp(shape, axis=0).any():
+        if lane not in self._measured:
+            shape = self._shape(lane)
+            straight = np.ptp(shape, axis=0).any()
+            self._measured[lane] = polylines.Measured(shape) if straight else None
+        measured = self._measured[lane]
+        if measured is None:
             return False
-        _, lane_rad = polylines.points_at(shape, np.array(along_m))
+        _, lane_rad = measured.at(np.array(along_m))
         heading_rad = np.radians(90.0 - float(self._api.vehicle.getAngle(self._id)))
         return bool(abs(frames.difference(lane_rad, heading_rad)) > _AGAINST_RAD)
 

@@ -96,6 +96,7 @@ class ShownMotion:
         self._id = vehicle_id
         self._length_m = length_m
         self._shapes: dict[str, Floats] = {}
+        self._lengths_m: dict[str, float] = {}
         self._before: _Shown | None = None
         self._changes: list[_Change] = []
         self._handed: Pose | None = None
@@ -204,9 +205,9 @@ class ShownMotion:
 
     def _direction_rad(self, lane: str, pose: Pose) -> float:
         """Direction of travel of the lane at the front; the heading where that tells nothing."""
-        line = self._line(lane) if lane else np.zeros((0, 2))
-        if len(line) < 2 or polylines.arc_lengths(line)[-1] < self._length_m:
+        if not lane or self._line_m(lane) < self._length_m:
             return pose.heading_rad  # a lane shorter than the vehicle may have any direction
+        line = self._line(lane)
         front, _ = _bumpers(pose, self._length_m)
         along = float(polylines.project(line, front).heading_rad)
         against = np.cos(along - pose.heading_rad) < 0
@@ -278,6 +279,12 @@ class ShownMotion:
     def _foot(self, lane: str, at_m: Floats) -> Floats:
         line = self._line(lane)
         return polylines.points_at(line, polylines.project(line, at_m).along_m)[0]
+
+    def _line_m(self, lane: str) -> float:
+        """Length of a lane's shape; 0 of a single point."""
+        if lane not in self._lengths_m:
+            self._lengths_m[lane] = float(polylines.arc_lengths(self._line(lane))[-1])
+        return self._lengths_m[lane]
 
     def _line(self, lane: str) -> Floats:
         if lane not in self._shapes:

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from types import SimpleNamespace
 
 import libsumo
 import numpy as np
@@ -13,10 +14,12 @@ from deepmf_sumo.live.observer import LiveObserver
 from deepmf_sumo.planners import idm
 from deepmf_sumo.roadcheck.motion_survey import Survey, survey
 from deepmf_sumo.sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation.road_users import TrafficReader
 from deepmf_sumo.training.recording.record import Recording, record
 
 from tests.support import mixed_traffic
 
+DOMAINS = ("vehicle", "person", "vehicletype", "lane", "simulation", "TraCIException")
 WALKERS = {"person 1", "person late"}
 
 
@@ -112,6 +115,39 @@ def test_a_live_attack_sees_the_same(config):
     assert set(before.ids) == {"0", "1", "2", "3", "person 0", "person rider", *WALKERS}
     assert set(after.ids) == {"0", "1", "2", "3", *WALKERS}
     assert set(around.ids) == set(after.ids)
+
+
+def asked_publicly():
+    """SUMO's own answers, by agent: front bumper x, y, angle, speed, z."""
+    found = {}
+    for domain, prefix in ((libsumo.vehicle, ""), (libsumo.person, "person ")):
+        for name in sorted(domain.getIDList()):
+            if prefix and domain.getVehicle(name):
+                continue
+            x, y, z = domain.getPosition3D(name)
+            found[prefix + name] = (x, y, domain.getAngle(name), max(domain.getSpeed(name), 0.0), z)
+    return found
+
+
+def test_what_is_read_is_what_sumo_answers_at_each_step(config):
+    libsumo.start(["sumo", "-c", str(config), "--step-length", "0.1", "--no-warnings"])
+    try:
+        reader, seen = TrafficReader(libsumo), set()
+        public = TrafficReader(SimpleNamespace(**{one: getattr(libsumo, one) for one in DOMAINS}))
+        for _ in range(160):  # vehicles and persons come, board and leave
+            libsumo.simulationStep()
+            states = reader.states()
+            assert list(states.items()) == list(asked_publicly().items())
+            assert states == public.states()
+            frame = reader.read()
+            assert frame.ids == list(states)
+            seen.add(tuple(frame.ids))
+        sizes = [(libsumo.vehicle.getLength(one), libsumo.vehicle.getWidth(one))
+                 for one in libsumo.vehicle.getIDList()]  # fmt: skip
+        assert reader.bodies.sizes_m(libsumo.vehicle.getIDList()).tolist() == [*map(list, sizes)]
+    finally:
+        libsumo.close()
+    assert len(seen) > 3
 
 
 def test_fcd_has_persons_as_sumo_has_them(boarding):
