@@ -24,9 +24,10 @@ from deepmf_sumo.baselines._art_descent import (
 from deepmf_sumo.deepmf.networks import anchors
 from deepmf_sumo.deepmf.networks.decode import knot_matrix
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT, Goals, as_batch
-from deepmf_sumo.deepmf.networks.encode import features, half_second_ago, pose_of
+from deepmf_sumo.deepmf.networks.encode import features, half_second_ago
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, HISTORY_STEPS, AgentId, Bools, Floats, View
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import pose_of
 from deepmf_sumo.scene.geometry.slow import DIRECTION_MPS
 
 _NEAR_M = 3.0  # a goal that comes closer to the AV by this counts e times as much

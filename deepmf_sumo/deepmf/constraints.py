@@ -1,18 +1,16 @@
 """Constraints on the choice: e.g. the side of the AV that is hit, fair, lawful, on the road.
 
 A constraint is a mask of the candidates, or pairs of candidate and reaction, that it allows;
-`choose` narrows the choice to these, and reports if nothing is left. To add one, write a class here
-and list it in `CONSTRAINTS`; ``adversary: {name: deepmf, constraints: [its_name]}`` then uses it.
-`CONTRIBUTING.md` shows an example.
+`scoring.choose_allowed` narrows the choice to these, and reports if nothing is left. To add one,
+write a class here and list it in `CONSTRAINTS`; ``adversary: {name: deepmf, constraints:
+[its_name]}`` then uses it. `CONTRIBUTING.md` shows an example.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Final, Literal, Protocol
+from collections.abc import Sequence
+from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
-from deepmf_sumo.deepmf import scoring
 from deepmf_sumo.deepmf.candidates import (
     Candidates,
     References,
@@ -23,7 +21,7 @@ from deepmf_sumo.deepmf.candidates import (
     rear_ends,
 )
 from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
-from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
+from deepmf_sumo.deepmf.scoring import Pairs, Scope
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.traffic_rules import Law, stops
@@ -41,9 +39,7 @@ from deepmf_sumo.scene import AgentId, Bools, Floats, Forecast, Futures, Ints, V
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear
 
-Scope = Literal["driven", "attack", "preferred"]
 _EVERY_STEPS = 3  # boxes touch for longer than 0.3 s, unless they only graze each other
-_REFUSALS = 12  # verifying a candidate takes some milliseconds
 _BEHIND_SHARE = 0.1  # of a candidate's collision mass; some AVs may brake in any case
 
 
@@ -79,107 +75,6 @@ class Constraint(Protocol):
     ) -> bool:
         """Whether the chosen candidate passes a closer check, which is too slow for all."""
         return True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mask:
-    """Candidates (N1) or pairs (N1, N2) that a constraint allows."""
-
-    name: str
-    scope: Scope
-    allowed: Bools
-
-    def among(self, rows: Ints) -> "Mask":
-        """Only these candidates (K)."""
-        return replace(self, allowed=self.allowed[rows])
-
-
-def decide(
-    pairs: Pairs,
-    masks: Sequence[Mask],
-    objective: Objective,
-    confirmed: Callable[[int, int], bool],
-) -> tuple[Choice, list[Mask]]:
-    """`choose`, until all constraints confirm the choice: ``confirmed(number of the mask, row)``.
-
-    A refused candidate is no longer allowed; after 12 refusals none is. The returned masks are
-    without the refused candidates.
-    """
-    masks, refusals = list(masks), 0
-    while True:
-        choice = choose(pairs, masks, objective)
-        refused = next((n for n in _binding(masks, choice) if not confirmed(n, choice.index)), None)
-        if refused is None:
-            return choice, masks
-        refusals += 1
-        left = np.arange(len(pairs.probability)) != choice.index
-        allowed = masks[refused].allowed & left & (refusals < _REFUSALS)
-        masks[refused] = replace(masks[refused], allowed=allowed)
-
-
-def _binding(masks: Sequence[Mask], choice: Choice) -> list[int]:
-    """Masks that a choice has to obey; none if the attack was dropped."""
-    required = [number for number, mask in enumerate(masks) if mask.scope != "preferred"]
-    given_up = {masks[number].name for number in required} & {*choice.unmet}
-    return [] if given_up else required
-
-
-def choose(pairs: Pairs, masks: Sequence[Mask], objective: Objective) -> Choice:
-    """The choice by the pairs that count; ``unmet`` names the constraints that are dropped.
-
-    - ``driven``: the choice is among the allowed candidates, or among all if there are none.
-    - ``attack``: pairs of forbidden candidates do not count, and such candidates are not chosen if
-      they collide.
-    - If pairs collide, but none that these two allow: no attack (`scoring.harmless`), rule
-      ``nothing <name>``.
-    - ``preferred``: allowed pairs count, first those of candidates that collide mostly in allowed
-      pairs, because any contact ends the attack. If there are none, the constraint is dropped; the
-      rule then ends with ``, any <name>``.
-    """
-    for number, mask in enumerate(masks):
-        if mask.scope == "driven":
-            return _among_allowed(pairs, mask, [*masks[:number], *masks[number + 1 :]], objective)
-    counted, barred, unmet = pairs.collides, None, []
-    for mask in masks:
-        if mask.scope == "attack":
-            counted = counted & mask.allowed[:, None]
-            bars = pairs.collides.any(axis=1) & ~mask.allowed
-            barred = bars if barred is None else barred | bars
-            if pairs.collides.any() and not counted.any():
-                return _given_up(pairs, mask)
-    for mask in masks:
-        if mask.scope == "preferred":
-            there = counted & mask.allowed
-            if there.any():
-                counted = _mostly(there, pairs)
-            else:
-                unmet.append(mask.name)
-    choice = scoring.choose(pairs, objective, counted=counted, barred=barred)
-    suffix = "".join(f", any {name}" for name in unmet) if counted.any() else ""
-    return replace(choice, rule=choice.rule + suffix, unmet=tuple(unmet))
-
-
-def _among_allowed(pairs: Pairs, mask: Mask, rest: list[Mask], objective: Objective) -> Choice:
-    """The choice among the allowed candidates only."""
-    rows, count = np.flatnonzero(mask.allowed), len(mask.allowed)
-    if not len(rows):
-        none = pairs.collides.any()
-        return _given_up(pairs, mask) if none else choose(pairs, rest, objective)
-    left = pairs.among(rows)
-    if pairs.collides.any() and not left.collides.any():
-        return _given_up(left, mask).of_all(rows, count)
-    return choose(left, [one.among(rows) for one in rest], objective).of_all(rows, count)
-
-
-def _given_up(pairs: Pairs, mask: Mask) -> Choice:
-    return replace(scoring.harmless(pairs, f"nothing {mask.name}"), unmet=(mask.name,))
-
-
-def _mostly(there: Bools, pairs: Pairs) -> Bools:
-    """Pairs ``there`` of candidates that collide mostly in them; all of ``there`` if none does."""
-    rather = 2 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass
-    narrowed = there & rather[:, None]
-    return narrowed if narrowed.any() else there
 
 
 class Lawful(Constraint):

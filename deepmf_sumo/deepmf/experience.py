@@ -106,6 +106,7 @@ class Experience:
     Attributes:
         one_opponent: only the first opponent can attack.
         several: more tries may follow from the same moment.
+        last: the last try.
         given_up: opponents that others come before.
         predicted: of opponents at a step, before their first plan; no try changes it until one is
             of that opponent.
@@ -114,6 +115,7 @@ class Experience:
     one_opponent: bool = False
     several: bool = False
 
+    last: Rollout | None = None
     _tries: list[_Try] = field(default_factory=list)
     given_up: set[AgentId] = field(default_factory=set)
     predicted: dict[tuple[int, AgentId], Predicted] = field(default_factory=dict)
@@ -133,12 +135,8 @@ class Experience:
         if repeated or len(own) + 1 >= _PATIENCE:
             self.given_up.add(opponent)
         self._tries.append(_Try(rollout, wanted))
+        self.last = rollout
         return not (repeated and (known or self.one_opponent))
-
-    @property
-    def last(self) -> Rollout | None:
-        """The last try."""
-        return self._tries[-1].rollout if self._tries else None
 
     def aimed_at(self, view: View, opponent_id: AgentId, predicted: Forecast) -> Forecast:
         """Futures of the AV to aim at: the predicted ones and those of tries with the opponent."""

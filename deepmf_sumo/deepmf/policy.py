@@ -15,15 +15,15 @@ import numpy as np
 
 from deepmf_sumo.deepmf import candidates, constraints, scoring, support
 from deepmf_sumo.deepmf.candidates import Candidates, References
-from deepmf_sumo.deepmf.constraints import Constraint, Mask
+from deepmf_sumo.deepmf.constraints import Constraint
 from deepmf_sumo.deepmf.experience import Experience, Predicted
 from deepmf_sumo.deepmf.networks.opponent import Opponent
 from deepmf_sumo.deepmf.networks.people import People
 from deepmf_sumo.deepmf.networks.predict import Conditional, ConditionalPrediction, Marginal
-from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths, on_ground, staying_on_ground
+from deepmf_sumo.deepmf.off_lane_paths import on_ground, staying_on_ground
 from deepmf_sumo.deepmf.opponent import ByClass, choose_opponent, highest, tried
-from deepmf_sumo.deepmf.reference_paths import OwnPath, goal_paths, own_paths
-from deepmf_sumo.deepmf.scoring import Choice, Objective, Pairs
+from deepmf_sumo.deepmf.reference_paths import goals, own_paths
+from deepmf_sumo.deepmf.scoring import Choice, Mask, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import track
@@ -129,6 +129,9 @@ class DeepMF:
     ) -> None:
         self._experience = experience or Experience()
         self._settings = settings
+        self._limits, self._constrained = settings.limits, settings.constrained
+        self._comfort, self._most = settings.comfort, settings.most_candidates
+        self._sector = settings.wanted_sector
         self._predictors = predictors
         self._partner_id = partner_id
         self._planner = av_driver == "planner"
@@ -199,7 +202,7 @@ class DeepMF:
     def _supported(self, view: View, attack: _Attack, plan: Plan) -> Plan:
         """The plan, which says who supports it; the supporter's own is kept in the attack."""
         watch, last = Stopwatch(), self._experience.last
-        situation = Situation.of(view, plan.agent_id, self._settings.limits, None, None, last)
+        situation = Situation.of(view, plan.agent_id, self._limits, None, None, last)
         found = support.supported(
             support.AttackPlan.of(situation, plan),
             self._predictors.marginal,
@@ -239,7 +242,7 @@ class DeepMF:
         """The AV's prediction, which does not depend on the opponent."""
         settings, conditional = self._settings, self._predictors.conditional
         prediction = conditional.predict(view, view.av_id, planner=self._planner)
-        needed = settings.form.goal_candidates or settings.constrained
+        needed = settings.form.goal_candidates or self._constrained
         unattacked = prediction.given(None, settings.form.reactions)[0] if needed else None
         watch.lap("conditional")
         return _Av(prediction, unattacked)
@@ -251,13 +254,14 @@ class DeepMF:
 
     def _plan(self, view: View, attack: _Attack, av: _Av, watch: Stopwatch) -> Plan:
         """The opponent's plan: generate, predict, collide, constrain, choose."""
+        limits = self._limits_of(view, attack.opponent_id)
         unattacked = av.unattacked and self._experience.aimed_at(
             view, attack.opponent_id, av.unattacked
         )
         situation = Situation.of(
             view,
             attack.opponent_id,
-            self._limits(view, attack.opponent_id),
+            limits,
             unattacked,
             attack.last,
             self._experience.last,
@@ -271,7 +275,7 @@ class DeepMF:
             situation,
             own,
             reactions,
-            sectors="sector" in self._settings.constrained,
+            sectors="sector" in self._constrained,
             severity=self._settings.aggressiveness is not None,
         )
         pairs = pairs if counts is None else pairs.counting(counts)
@@ -282,10 +286,13 @@ class DeepMF:
         reason = self._reason(own, heat, reactions, pairs, choice, masks, watch)
         return _planned(situation, own, choice, reason)
 
-    def _limits(self, view: View, opponent_id: AgentId) -> MotionLimits:
+    def _limits_of(self, view: View, opponent_id: AgentId) -> MotionLimits:
+        """Limits on the accelerations of an opponent; people also keep to their class's."""
         tracks, row = view.history, view.history.row(opponent_id)
+        if tracks.kinds[row] == "vehicle":
+            return self._limits
         motion = road_user(tracks.kinds[row], tracks.size_m[row]).motion
-        return self._settings.limits_of(tracks.kinds[row], motion)
+        return self._settings.limits_of(motion)
 
     def _predict(
         self, situation: Situation, attack: _Attack, av: _Av, watch: Stopwatch
@@ -309,12 +316,12 @@ class DeepMF:
         settings, limits, start = self._settings, situation.limits, situation.start
         predictor = self._predictors.people if situation.person else self._predictors.marginal
         prediction = predictor.predict(situation.view, situation.opponent_id)
-        modes = prediction.modes(settings.form.candidates)
+        modes, heat = prediction.modes(settings.form.candidates), prediction.heat()
         count = len(modes.probability)
         parts = [References.of("mode", modes.futures.position_m, limits.rows(count))]
         watch.lap("marginal")
         paths = own_paths(modes, start) if situation.unattacked else []
-        parts += _goals(situation, paths, settings.form.goal_candidates)
+        parts += goals(situation, paths, settings.form.goal_candidates)
         for constraint in attack.constraints:
             parts += constraint.references(situation, paths)
         if any(one.keeps_plan for one in attack.constraints):
@@ -327,16 +334,17 @@ class DeepMF:
         watch.lap("track")
         probability = candidates.weights(modes, tracked.position_m[count:], prediction)
         watch.lap("marginal")
-        if settings.comfort > 0.0:
-            probability = candidates.comfortable(situation, probability, tracked, settings.comfort)
+        if self._comfort > 0.0:
+            probability = candidates.comfortable(situation, probability, tracked, self._comfort)
         own = candidates.ranked(references, tracked, probability, modes)
         if situation.person:
             own = on_ground(situation, own)
-        if settings.most_candidates is not None:
-            most, without = settings.most_candidates, settings.constrained
-            own = candidates.shortlisted(situation, own, most, without, attack.begun)
+        if self._most is not None:
+            own = candidates.shortlisted(
+                situation, own, self._most, self._constrained, attack.begun
+            )
         watch.lap("collision")
-        return own, prediction.heat()
+        return own, heat
 
     def _reactions(self, av: _Av, own: Candidates) -> list[Forecast]:
         """The AV's futures given each candidate; without condition the same ones for all."""
@@ -365,7 +373,7 @@ class DeepMF:
             one = attack.constraints[number]
             return one.confirmed(situation, own, reactions[row], pairs, row)
 
-        return constraints.decide(pairs, masks, self._objective, confirmed)
+        return scoring.decide(pairs, masks, self._objective, confirmed)
 
     def _reason(
         self,
@@ -390,23 +398,12 @@ class DeepMF:
             bent_m=own.bent_m,
             milliseconds=watch.milliseconds,
             origin=own.origin,
-            wanted_sector=self._settings.wanted_sector,
+            wanted_sector=self._sector,
             sector=pairs.sector,
             allowed={mask.name: mask.allowed for mask in masks},
             unmet=choice.unmet,
             heat=heat,
         )
-
-
-def _goals(situation: Situation, paths: list[OwnPath], count: int) -> list[References]:
-    """At most ``count`` candidates to where the AV will be.
-
-    Those of a pedestrian are off the lanes as far as there are any, half of a cyclist's.
-    """
-    if not situation.person:
-        return [goal_paths(situation, paths, count)]
-    free = off_lane_paths(situation, count if situation.on_foot else (count + 1) // 2)
-    return [free, goal_paths(situation, paths, count - len(free.origin))]
 
 
 def _planned(situation: Situation, own: Candidates, choice: Choice, reason: PlanReason) -> Plan:

@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from deepmf_sumo.deepmf.candidates import References, collisions, impact_sectors
+from deepmf_sumo.deepmf.off_lane_paths import off_lane_paths
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start, joined
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Bools, Floats, Forecast, Futures, Ints
@@ -174,6 +175,17 @@ def goal_paths(situation: Situation, paths: list[OwnPath], count: int) -> Refere
     )
     rows = np.where(calm[:, None], mild.rows(len(calm)), limits.rows(len(calm)))
     return References.of("goal", _goal_references(goals, paths, start, FUTURE_STEPS), rows)
+
+
+def goals(situation: Situation, paths: list[OwnPath], count: int) -> list[References]:
+    """At most ``count`` references to where the AV will be.
+
+    Those of a pedestrian are off the lanes as far as there are any, half of a cyclist's.
+    """
+    if not situation.person:
+        return [goal_paths(situation, paths, count)]
+    free = off_lane_paths(situation, count if situation.on_foot else (count + 1) // 2)
+    return [free, goal_paths(situation, paths, count - len(free.origin))]
 
 
 def _goals(paths: list[OwnPath], av: Forecast, when: Ints, av_size_m: Floats) -> _Goals:

@@ -15,6 +15,7 @@ With P_j = P(Y_j^OV), P_jk = P(Y_k^AV | Y_j^OV) and the likelihood weight w:
 Ties go to the earlier collision, then the larger P_j, then the lower index.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Self
 
@@ -26,6 +27,8 @@ Rule = Literal["expected", "pair", "likeliest", "drawn"]
 
 MASS_SHARE: Final = 0.95
 """Candidates with at least this share of the largest collision mass are equally good."""
+Scope = Literal["driven", "attack", "preferred"]
+_REFUSALS = 12  # verifying a candidate takes some milliseconds
 _DRAWN_ANYWAY = 0.05  # added to the collision mass: candidates that miss are drawn, too
 _EQUAL = 1e-9  # relative: smaller differences are rounding errors
 
@@ -103,6 +106,19 @@ class Pairs:
         return (self.reaction_probability * self.collides).sum(axis=1)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Mask:
+    """Candidates (N1) or pairs (N1, N2) that a constraint allows."""
+
+    name: str
+    scope: Scope
+    allowed: Bools
+
+    def among(self, rows: Ints) -> "Mask":
+        """Only these candidates (K)."""
+        return replace(self, allowed=self.allowed[rows])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
     """The index of the chosen candidate, the rule used, and (N1) its values and those of Eq. 5.
@@ -121,6 +137,96 @@ class Choice:
         value, product = np.zeros(count), np.zeros(count)
         value[rows], product[rows] = self.value, self.product
         return replace(self, index=int(rows[self.index]), value=value, product=product)
+
+
+def decide(
+    pairs: Pairs,
+    masks: Sequence[Mask],
+    objective: Objective,
+    confirmed: Callable[[int, int], bool],
+) -> tuple[Choice, list[Mask]]:
+    """`choose_allowed`, until all constraints confirm the choice.
+
+    ``confirmed(number of the mask, row)`` says so of the row that is chosen.
+
+    A refused candidate is no longer allowed; after 12 refusals none is. The returned masks are
+    without the refused candidates.
+    """
+    masks, refusals = list(masks), 0
+    while True:
+        choice = choose_allowed(pairs, masks, objective)
+        refused = next((n for n in _binding(masks, choice) if not confirmed(n, choice.index)), None)
+        if refused is None:
+            return choice, masks
+        refusals += 1
+        left = np.arange(len(pairs.probability)) != choice.index
+        allowed = masks[refused].allowed & left & (refusals < _REFUSALS)
+        masks[refused] = replace(masks[refused], allowed=allowed)
+
+
+def _binding(masks: Sequence[Mask], choice: Choice) -> list[int]:
+    """Masks that a choice has to obey; none if the attack was dropped."""
+    required = [number for number, mask in enumerate(masks) if mask.scope != "preferred"]
+    given_up = {masks[number].name for number in required} & {*choice.unmet}
+    return [] if given_up else required
+
+
+def choose_allowed(pairs: Pairs, masks: Sequence[Mask], objective: Objective) -> Choice:
+    """The choice by the pairs that count; ``unmet`` names the constraints that are dropped.
+
+    - ``driven``: the choice is among the allowed candidates, or among all if there are none.
+    - ``attack``: pairs of forbidden candidates do not count, and such candidates are not chosen if
+      they collide.
+    - If pairs collide, but none that these two allow: no attack (`harmless`), rule
+      ``nothing <name>``.
+    - ``preferred``: allowed pairs count, first those of candidates that collide mostly in allowed
+      pairs, because any contact ends the attack. If there are none, the constraint is dropped; the
+      rule then ends with ``, any <name>``.
+    """
+    for number, mask in enumerate(masks):
+        if mask.scope == "driven":
+            return _among_allowed(pairs, mask, [*masks[:number], *masks[number + 1 :]], objective)
+    counted, barred, unmet = pairs.collides, None, []
+    for mask in masks:
+        if mask.scope == "attack":
+            counted = counted & mask.allowed[:, None]
+            bars = pairs.collides.any(axis=1) & ~mask.allowed
+            barred = bars if barred is None else barred | bars
+            if pairs.collides.any() and not counted.any():
+                return _given_up(pairs, mask)
+    for mask in masks:
+        if mask.scope == "preferred":
+            there = counted & mask.allowed
+            if there.any():
+                counted = _mostly(there, pairs)
+            else:
+                unmet.append(mask.name)
+    choice = choose(pairs, objective, counted=counted, barred=barred)
+    suffix = "".join(f", any {name}" for name in unmet) if counted.any() else ""
+    return replace(choice, rule=choice.rule + suffix, unmet=tuple(unmet))
+
+
+def _among_allowed(pairs: Pairs, mask: Mask, rest: list[Mask], objective: Objective) -> Choice:
+    """The choice among the allowed candidates only."""
+    rows, count = np.flatnonzero(mask.allowed), len(mask.allowed)
+    if not len(rows):
+        none = pairs.collides.any()
+        return _given_up(pairs, mask) if none else choose_allowed(pairs, rest, objective)
+    left = pairs.among(rows)
+    if pairs.collides.any() and not left.collides.any():
+        return _given_up(left, mask).of_all(rows, count)
+    return choose_allowed(left, [one.among(rows) for one in rest], objective).of_all(rows, count)
+
+
+def _given_up(pairs: Pairs, mask: Mask) -> Choice:
+    return replace(harmless(pairs, f"nothing {mask.name}"), unmet=(mask.name,))
+
+
+def _mostly(there: Bools, pairs: Pairs) -> Bools:
+    """Pairs ``there`` of candidates that collide mostly in them; all of ``there`` if none does."""
+    rather = 2 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass
+    narrowed = there & rather[:, None]
+    return narrowed if narrowed.any() else there
 
 
 def choose(

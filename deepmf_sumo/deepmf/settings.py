@@ -16,7 +16,7 @@ from deepmf_sumo.deepmf.networks.predict import MOST_MODES
 from deepmf_sumo.deepmf.opponent import SCORED, Attackers
 from deepmf_sumo.deepmf.scoring import Balance, Rule
 from deepmf_sumo.errors import nearest
-from deepmf_sumo.scene import DT_S, AgentKind
+from deepmf_sumo.scene import DT_S
 from deepmf_sumo.scene.geometry.impact import SECTORS
 from deepmf_sumo.scene.road_users import MotionLimits, MotionModel
 from deepmf_sumo.spec.model import Strict
@@ -288,10 +288,8 @@ class Settings(plugins.Settings):
             accel=self.accel_mps2, brake=self.brake_mps2, lateral=self.lateral_mps2
         ).times(self._more)
 
-    def limits_of(self, kind: AgentKind, motion: MotionModel) -> MotionLimits:
-        """Limits on the accelerations of an opponent; people also keep to their class's."""
-        if kind == "vehicle":
-            return self.limits
+    def limits_of(self, motion: MotionModel) -> MotionLimits:
+        """Limits on the accelerations of a person that attacks: also those of its class."""
         return self.limits.within(motion.planned.times(self._more).within(motion.possible))
 
     @property

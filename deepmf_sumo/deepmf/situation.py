@@ -29,6 +29,7 @@ class Situation:
     Attributes:
         view: the present and the last second.
         opponent_id: the road user that attacks.
+        kind: what it is. person: whether that is a pedestrian or a cyclist.
         start: its state now.
         size_m, av_size_m: (2) length and width of the opponent and of the AV.
         limits: on the opponent's accelerations.
@@ -41,6 +42,8 @@ class Situation:
 
     view: View
     opponent_id: AgentId
+    kind: AgentKind
+    person: bool
     start: Start
     size_m: Floats
     av_size_m: Floats
@@ -62,12 +65,15 @@ class Situation:
         seen: Rollout | None = None,
     ) -> Self:
         """The situation in a view. Raises KeyError if the opponent or the AV is not in it."""
+        kind = view.history.kinds[view.history.row(opponent_id)]
         return cls(
             view=view,
             opponent_id=opponent_id,
-            start=Start.of(view, opponent_id),
+            kind=kind,
+            person=kind in {"pedestrian", "cyclist"},
             size_m=footprint(view, opponent_id),
             av_size_m=footprint(view, view.av_id),
+            start=Start.of(view, opponent_id),
             limits=limits,
             horizon=min(FUTURE_STEPS, view.steps_left),
             levels=Levels.of(view, opponent_id),
@@ -75,16 +81,6 @@ class Situation:
             last=last,
             seen=seen,
         )
-
-    @property
-    def kind(self) -> AgentKind:
-        """Of the opponent."""
-        return self.view.history.kinds[self.view.history.row(self.opponent_id)]
-
-    @property
-    def person(self) -> bool:
-        """Whether the opponent is a pedestrian or a cyclist."""
-        return self.kind in {"pedestrian", "cyclist"}
 
     @property
     def on_foot(self) -> bool:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.deepmf import constraints, policy
-from deepmf_sumo.deepmf.constraints import Mask
-from deepmf_sumo.deepmf.scoring import Objective, Pairs
+from deepmf_sumo.deepmf import policy, scoring
+from deepmf_sumo.deepmf.scoring import Mask, Objective, Pairs
 from deepmf_sumo.deepmf.settings import Form
 
 from tests.support import one_attacker
@@ -34,7 +33,7 @@ def choice(lawful, collides=(True, True, False), fair=None, rule="expected"):
     )
     masks = [Mask("lawful", "driven", np.array(lawful))]
     masks += [] if fair is None else [Mask("fair", "attack", np.array(fair))]
-    chosen = constraints.choose(pairs, masks, Objective(rule))
+    chosen = scoring.choose_allowed(pairs, masks, Objective(rule))
     return chosen, chosen.unmet
 
 

@@ -8,12 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from deepmf_sumo import plugins
-from deepmf_sumo.deepmf import constraints, scoring
+from deepmf_sumo.deepmf import scoring
 from deepmf_sumo.deepmf.candidates import NO_SECTOR, collisions, delta_v, impact_sectors
-from deepmf_sumo.deepmf.constraints import Mask
 from deepmf_sumo.deepmf.policy import build
 from deepmf_sumo.deepmf.reference_paths import aimed_paths, own_paths
-from deepmf_sumo.deepmf.scoring import Balance, Objective, Pairs
+from deepmf_sumo.deepmf.scoring import Balance, Mask, Objective, Pairs
 from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.deepmf.tracking import Start, track
 from deepmf_sumo.errors import PluginError
@@ -126,7 +125,7 @@ def choose(rule="expected", found=PAIRS, sector=None, wanted=None, fair=None):
     """The choice, and what is unmet, with sectors of the pairs and fair candidates."""
     masks = [] if sector is None else [Mask("sector", "preferred", sector == wanted)]
     masks += [] if fair is None else [Mask("fair", "attack", fair)]
-    choice = constraints.choose(found, masks, Objective(rule))
+    choice = scoring.choose_allowed(found, masks, Objective(rule))
     return choice, choice.unmet
 
 
@@ -178,12 +177,12 @@ def test_an_unfair_choice_is_refused_until_one_is_verified():
         asked.append(row)
         return row == 2
 
-    choice, found = constraints.decide(PAIRS, every, Objective(), confirmed)
+    choice, found = scoring.decide(PAIRS, every, Objective(), confirmed)
     assert (asked, choice.index, choice.unmet) == ([0, 1, 2], 2, ())
     assert found[0].allowed.tolist() == [False, False, True]
-    choice, _ = constraints.decide(PAIRS, every, Objective(), lambda number, row: False)
+    choice, _ = scoring.decide(PAIRS, every, Objective(), lambda number, row: False)
     assert (choice.rule, choice.unmet) == ("nothing fair", ("fair",))
-    choice, _ = constraints.decide(PAIRS, [], Objective(), lambda number, row: False)
+    choice, _ = scoring.decide(PAIRS, [], Objective(), lambda number, row: False)
     assert choice.index == 0
 
 

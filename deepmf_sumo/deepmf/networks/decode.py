@@ -24,11 +24,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from deepmf_sumo.deepmf.networks.encode import AgentFrame
 from deepmf_sumo.deepmf.networks.lanes import NODE_SPACING_M
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, Forecast, Futures, Ints
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import AgentFrame
 
 Singles = NDArray[np.float32]
 

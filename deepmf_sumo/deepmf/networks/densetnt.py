@@ -403,8 +403,8 @@ class DenseTNT(nn.Module):
                 grid = anchors.every(
                     batch["paths"], lanes.isfinite(), batch["motion"][:, OwnMotion.SPEED]
                 )
-        along, goals = self._goals(batch, lines, grid, elements, there)
         target = elements[:, :1] + self.motion(self._motion(batch["motion"])).unsqueeze(1)
+        along, goals = self._goals(batch, lines, grid, elements, there)
         image = self.image.shared(unpack(batch["raster"], self.preset)) if self.image else None
         return Encoding(
             paths=batch["paths"],
@@ -433,9 +433,10 @@ class DenseTNT(nn.Module):
         paths, speed = batch["paths"], batch["motion"][:, OwnMotion.SPEED]
         line = self.goal_path(lines).unsqueeze(2)
         if grid is None:
+            prior = self.log_prior(speed)
             along = anchors.profiles_at(self.profiles, speed)  # (B, R, 80)
             along = along.unsqueeze(1).expand(-1, paths.shape[1], -1, -1)
-            goals = self.goal(goal_features(batch, along, self.log_prior(speed)))
+            goals = self.goal(goal_features(batch, along, prior))
             return along, goals + line + self.profile
         along = anchors.driven(grid.along_m, speed)
         none = along.new_zeros(along.shape[0], along.shape[2])  # they have no frequency
@@ -451,12 +452,14 @@ class DenseTNT(nn.Module):
             along = scene.along_m[..., EVERY - 1 :: EVERY]
             on_paths = OnPaths.of(scene.paths, given.position_m)
             met = condition.relations(scene.paths, along, given.position_m, on_paths)
+            follow = None
+            if self.preset.reactive:
+                follow = condition.following(scene.road, along, given, on_paths)
             gate = given.given[:, :, None, None]
             context = context + (self.goal_met_path(met[0]) + self.goal_met.bias) * gate
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)
             _add_product(goals, met[1].mul_(gate.unsqueeze(4)), self.goal_met.weight)
-            if self.preset.reactive:
-                follow = condition.following(scene.road, along, given, on_paths)
+            if follow is not None:
                 _add_product(goals, follow.mul_(gate.unsqueeze(4)), self.goal_follow.weight)
         else:
             goals = scene.goals.unsqueeze(1) + context.unsqueeze(3)

@@ -9,7 +9,6 @@ x = (row - pixels/4) * metres and y = (column - pixels/2) * metres.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, TypeVar
 
@@ -37,6 +36,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import AgentFrame, pose_of
 
 Column = TypeVar("Column", bound=IntEnum)
 
@@ -140,39 +140,6 @@ _SEVEN = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AgentFrame:
-    """Where an agent is now: the frame of its features."""
-
-    agent_id: AgentId
-    position_m: Floats
-    heading_rad: float
-    speed_mps: float
-
-    def to_local(self, points_m: Floats) -> Floats:
-        """Points (..., 2) of the scene in the agent's frame."""
-        return frames.to_local(points_m, self.position_m, self.heading_rad)
-
-    def vectors(self, vectors: Floats) -> Floats:
-        """Vectors (..., 2) of the scene in the agent's frame."""
-        return frames.rotate(vectors, -self.heading_rad)
-
-    def turn_rad(self, heading_rad: Floats) -> Floats:
-        """Headings (...) of the scene in the agent's frame."""
-        return frames.wrap(heading_rad - self.heading_rad)
-
-
-def pose_of(view: View, agent_id: AgentId) -> AgentFrame:
-    """The agent's pose at the view's step. Raises KeyError if it is not in view."""
-    row = view.history.row(agent_id)
-    return AgentFrame(
-        agent_id=agent_id,
-        position_m=view.history.position_m[row, -1],
-        heading_rad=float(view.history.heading_rad[row, -1]),
-        speed_mps=float(view.history.speed_mps[row, -1]),
-    )
-
-
 def half_second_ago(valid: Bools) -> Ints:
     """(V) first step of the last half second at which agents (V, H) were seen; else now.
 
@@ -189,8 +156,9 @@ def recent_change(tracks: Tracks, rows: Ints, dt_s: float) -> tuple[Floats, Floa
 
     0 for an agent that was not seen before now.
     """
-    back, each = half_second_ago(tracks.valid[rows]), np.arange(len(rows))
-    seconds = np.maximum((tracks.steps - 1 - back) * dt_s, dt_s)
+    valid, each = tracks.valid[rows], np.arange(len(rows))
+    back = half_second_ago(valid)
+    seconds = np.maximum((valid.shape[1] - 1 - back) * dt_s, dt_s)
     speed, heading = tracks.speed_mps[rows], tracks.heading_rad[rows]
     turned = frames.difference(heading[:, -1], heading[each, back])
     return (speed[:, -1] - speed[each, back]) / seconds, turned / seconds
@@ -203,14 +171,15 @@ def features(
 
     ``planner``: an automated planner drives it, which reacts differently from people.
     """
-    index = road_index(view.road)
     tracks = view.history
     row, pose = tracks.row(agent_id), pose_of(view, agent_id)
     near = nearest_agents(view, row, NEIGHBOURS)
     agents, agent_info = agent_arrays(view, near, AGENTS, pose)
-    lanes, lane_info = lane_arrays(view, index, LANES, pose)
-    place = pose.position_m, pose.heading_rad, pose.speed_mps
+    motion = own_motion(view, row, planner=planner)
+    index, place = road_index(view.road), (pose.position_m, pose.heading_rad, pose.speed_mps)
     paths = path_set(index, *place, view.signals, float(tracks.z_m[row, -1]))
+    path_agents = _path_agents(paths.points_m, paths.valid, agents, agent_info)
+    lanes, lane_info = lane_arrays(view, index, LANES, pose)
     arrays: Features = {
         "agents": agents.astype(np.float32),
         "agent_info": agent_info.astype(np.float32),
@@ -218,8 +187,8 @@ def features(
         "lane_info": lane_info.astype(np.float32),
         "paths": paths.points_m.astype(np.float32),
         "path_info": paths.info.astype(np.float32),
-        "path_agents": _path_agents(paths, agents, agent_info).astype(np.float32),
-        "motion": own_motion(view, row, planner=planner).astype(np.float32),
+        "path_agents": path_agents.astype(np.float32),
+        "motion": motion.astype(np.float32),
     }
     if preset.raster:
         arrays["raster"] = pack(draw(view, index, preset, pose))
@@ -310,15 +279,15 @@ def path_feet(points_m: Floats, query_m: Floats) -> tuple[Floats, Floats, Floats
     return along, cos * away_y - sin * away_x, cos, sin
 
 
-def _path_agents(paths: PathSet, agents: Floats, info: Floats) -> Floats:
-    """(16, 8) of `PathAgent`: the eight agents nearest to each path."""
-    out = np.zeros((len(paths.points_m), PATH_AGENTS, len(PathAgent)))
+def _path_agents(points_m: Floats, valid: Bools, agents: Floats, info: Floats) -> Floats:
+    """(16, 8) of `PathAgent`: the eight agents nearest to each path, of those that exist (16)."""
+    out = np.zeros((len(points_m), PATH_AGENTS, len(PathAgent)))
     there = np.flatnonzero(info[1:, AgentInfo.THERE]) + 1
-    rows = np.flatnonzero(paths.valid)
+    rows = np.flatnonzero(valid)
     if len(there) == 0:
         return out
     now = agents[there, -1]
-    along, left, cos, sin = path_feet(paths.points_m[rows], now[:, POSITION])
+    along, left, cos, sin = path_feet(points_m[rows], now[:, POSITION])
     cost = np.abs(left) + 0.05 * np.abs(along) + 10.0 * (along < -5.0)
     order = np.argsort(cost, axis=1, kind="stable")[:, :PATH_AGENTS]
     vx, vy = now[:, AgentState.VX], now[:, AgentState.VY]

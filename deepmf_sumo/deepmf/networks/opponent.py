@@ -20,7 +20,6 @@ from deepmf_sumo.deepmf.networks.encode import (
     draw,
     lane_arrays,
     pack,
-    pose_of,
     recent_change,
     span,
     stacked,
@@ -43,6 +42,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import pose_of
 from deepmf_sumo.scene.geometry.ground import clear
 
 OTHERS: Final = 63

@@ -22,7 +22,6 @@ import numpy as np
 
 from deepmf_sumo.deepmf.networks import decode
 from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS
-from deepmf_sumo.deepmf.networks.encode import AgentFrame, pose_of
 from deepmf_sumo.scene import (
     DT_S,
     FUTURE_STEPS,
@@ -36,6 +35,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.frames import AgentFrame, pose_of
 from deepmf_sumo.scene.geometry.ground import clear, ground_of
 from deepmf_sumo.scene.geometry.lane_map import Feet, LaneMap
 from deepmf_sumo.scene.geometry.road import all_lanes, lanes_for_cars

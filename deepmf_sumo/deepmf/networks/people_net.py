@@ -20,10 +20,10 @@ import shapely
 from numpy.typing import NDArray
 
 from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS, KNOTS_S, Singles
-from deepmf_sumo.deepmf.networks.encode import AgentFrame
 from deepmf_sumo.deepmf.networks.people import PeoplePrediction, moving_pose
 from deepmf_sumo.scene import DT_S, FUTURE_STEPS, Floats, RoadMap, View
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import AgentFrame
 from deepmf_sumo.scene.geometry.lane_map import per_road
 from deepmf_sumo.scene.geometry.road import lanes_for_cars, on_road
 from deepmf_sumo.scene.road_users import road_user

@@ -17,9 +17,10 @@ import numpy as np
 from deepmf_sumo.deepmf.networks import decode
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.decode import KNOT_STEPS, GoalSet, Singles, log_softmax
-from deepmf_sumo.deepmf.networks.encode import AgentFrame, Features, features, pose_of
+from deepmf_sumo.deepmf.networks.encode import Features, features
 from deepmf_sumo.scene import AgentId, Floats, Forecast, Futures, Heat, View
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.frames import AgentFrame, pose_of
 
 MOST_MODES: Final = 96
 """In one forecast: a vehicle far from all lanes has five paths with 24 goals each by default."""

@@ -5,12 +5,13 @@ SUMO's poses are the centre of the front bumper and degrees clockwise from north
 pose is the centre of the box.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepmf_sumo.scene import Floats
+from deepmf_sumo.scene import AgentId, Floats, View
 
 TURNED_RAD: Final = 1e4
 """No vehicle turns this far: an angle beyond is a mistake, and rounding hides its direction."""
@@ -51,6 +52,39 @@ def rotate(vectors: Floats, angle_rad: float) -> Floats:
     """Vectors (..., 2) turned counter-clockwise by an angle."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(vectors, float) @ np.array([[cos, sin], [-sin, cos]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgentFrame:
+    """Where an agent is now, as a frame: what networks read of a view is in it."""
+
+    agent_id: AgentId
+    position_m: Floats
+    heading_rad: float
+    speed_mps: float
+
+    def to_local(self, points_m: Floats) -> Floats:
+        """Points (..., 2) of the scene in the agent's frame."""
+        return to_local(points_m, self.position_m, self.heading_rad)
+
+    def vectors(self, vectors: Floats) -> Floats:
+        """Vectors (..., 2) of the scene in the agent's frame."""
+        return rotate(vectors, -self.heading_rad)
+
+    def turn_rad(self, heading_rad: Floats) -> Floats:
+        """Headings (...) of the scene in the agent's frame."""
+        return wrap(heading_rad - self.heading_rad)
+
+
+def pose_of(view: View, agent_id: AgentId) -> AgentFrame:
+    """The agent's pose at the view's step. Raises KeyError if it is not in view."""
+    row = view.history.row(agent_id)
+    return AgentFrame(
+        agent_id=agent_id,
+        position_m=view.history.position_m[row, -1],
+        heading_rad=float(view.history.heading_rad[row, -1]),
+        speed_mps=float(view.history.speed_mps[row, -1]),
+    )
 
 
 def to_sumo(

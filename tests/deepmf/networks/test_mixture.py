@@ -8,8 +8,9 @@ import pytest
 from deepmf_sumo.deepmf.networks import decode, predict, torch_networks
 from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.deepmf.networks.decode import log_softmax
-from deepmf_sumo.deepmf.networks.encode import features, pose_of
+from deepmf_sumo.deepmf.networks.encode import features
 from deepmf_sumo.deepmf.networks.predict import Marginal
+from deepmf_sumo.scene.geometry.frames import pose_of
 
 from tests.support.synthetic import view
 

@@ -8,11 +8,12 @@ from deepmf_sumo.deepmf.networks import condition, decode, encode, torch_network
 from deepmf_sumo.deepmf.networks.condition import OnPaths, PathRelation
 from deepmf_sumo.deepmf.networks.config import LIGHT, PAPER
 from deepmf_sumo.deepmf.networks.densetnt import as_batch
-from deepmf_sumo.deepmf.networks.encode import features, lane_arrays, pose_of
+from deepmf_sumo.deepmf.networks.encode import features, lane_arrays
 from deepmf_sumo.deepmf.networks.lanes import ROAD_CHANNELS, road_index
 from deepmf_sumo.deepmf.networks.predict import Marginal
 from deepmf_sumo.deepmf.networks.vgg import unpack
 from deepmf_sumo.scene import Futures, RoadMap
+from deepmf_sumo.scene.geometry.frames import pose_of
 
 from tests.support.synthetic import lane, scene, straight, view
 
