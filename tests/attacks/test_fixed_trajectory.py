@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.errors import PluginError, RunError
 
 from tests.support.one_attacker import plan_of
@@ -18,7 +18,7 @@ RNG = np.random.default_rng(0)
 
 
 def build(**values):
-    return _fixed_path.build(plugins.settings("adversaries", "trajectory", values))
+    return trajectory.TrajectoryPolicy(plugins.settings("adversaries", "trajectory", values))
 
 
 def poses(count=30):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.deepmf import policy as deepmf_policy
 from deepmf_sumo.scene import Plan
 
@@ -15,7 +15,7 @@ from tests.support.predictor_doubles import Doubles, view_of
 NEEDED = {"trajectory": {"agent": "b", "poses": [[-6.8 + 1.2 * k, 3.5, 0.0] for k in range(80)]}}
 POLICIES = {
     "deepmf": deepmf_policy.build,
-    "trajectory": lambda settings, *_: _fixed_path.build(settings),
+    "trajectory": lambda settings, *_: trajectory.TrajectoryPolicy(settings),
 }
 VIEW = view_of({"av": (0, 0, 0, 10.0), "b": (-8, 3.5, 0, 12.0)})
 

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepmf_sumo.attacks._episodes import AgentMotion, Scouted
-from deepmf_sumo.baselines._controls import Bicycle, Knots
-from deepmf_sumo.baselines._search import SearchSettings, Weights, cost_of
+from deepmf_sumo.baselines._search import Bicycle, Knots, SearchSettings, Weights, cost_of
 from deepmf_sumo.judge.metrics.driving import feasible
 from deepmf_sumo.scene.geometry import frames
 

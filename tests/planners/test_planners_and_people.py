@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.planners.perception import nearest_in_corridor
 from deepmf_sumo.scene import HISTORY_STEPS
 from deepmf_sumo.sumo.simulation import network_case, simulate
@@ -66,7 +66,9 @@ def driven(config):
     def of(name, motion):
         if (name, motion) not in found:
             chosen = {"agent": "p", "poses": MOTIONS[motion]}
-            policy = _fixed_path.build(plugins.settings("adversaries", "trajectory", chosen))
+            policy = trajectory.TrajectoryPolicy(
+                plugins.settings("adversaries", "trajectory", chosen)
+            )
             case = network_case(config, 2.0, "av", 150, seed=0)
             rng = np.random.default_rng(0)
             found[name, motion] = simulate(case, planner(name), policy, rng=rng)

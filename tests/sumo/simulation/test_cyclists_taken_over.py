@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.planners import sumo
 from deepmf_sumo.scene import HISTORY_STEPS, Driver
 from deepmf_sumo.sumo.network.footways import footways_of
@@ -80,7 +80,7 @@ def test_a_car_does_not_drive_through_a_bicycle_on_its_lane(folder, seen, option
 def swerved(folder):
     config = pavements.build(folder, bike(), pavements.car("av", "wm me", 3, 20, 8.0))
     poses = swerves(90.0 + 2.0 * 4.0 - 1.0).tolist()
-    policy = _fixed_path.build(
+    policy = trajectory.TrajectoryPolicy(
         plugins.settings("adversaries", "trajectory", {"agent": "b", "poses": poses})
     )
     case = network_case(config, 2.0, "av", 130, seed=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.metrics import collision, driving
 from deepmf_sumo.planners import constant_velocity, replay
@@ -29,8 +29,8 @@ TIME = np.arange(1, 46) / 10
 
 
 def run(case, poses, backend=None, planner=None):
-    policy = _fixed_path.TrajectoryPolicy(
-        _fixed_path.Settings(agent="b", poses=np.array(poses).tolist())
+    policy = trajectory.TrajectoryPolicy(
+        trajectory.Settings(agent="b", poses=np.array(poses).tolist())
     )
     planner = planner or replay.build(replay.Settings())
     return simulate(case, planner, policy, rng=np.random.default_rng(0), backend=backend)

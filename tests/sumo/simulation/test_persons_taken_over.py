@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.planners import sumo
 from deepmf_sumo.scene import HISTORY_STEPS, Driver
@@ -42,7 +42,7 @@ def way(*corners, speed=1.4, stays_s=0.0):
 
 def run(config, agent, poses, *, start_s=2.0, steps=150):
     chosen = {"agent": agent, "poses": poses}
-    policy = _fixed_path.build(plugins.settings("adversaries", "trajectory", chosen))
+    policy = trajectory.TrajectoryPolicy(plugins.settings("adversaries", "trajectory", chosen))
     case = network_case(config, start_s, "av", steps, seed=0)
     planner = sumo.build(sumo.Settings())
     return simulate(case, planner, policy, rng=np.random.default_rng(0))
@@ -276,7 +276,7 @@ def test_who_boards_during_an_attack_is_gone(folder):
     )
     config = pavements.build(folder, bus, person, pavements.car("av", "wm me", 3, 40))
 
-    class Late(_fixed_path.TrajectoryPolicy):
+    class Late(trajectory.TrajectoryPolicy):
         """It attacks, but its plans begin after the person has boarded."""
 
         period_steps = 10

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo import plugins
-from deepmf_sumo.attacks import _fixed_path
+from deepmf_sumo.attacks import trajectory
 from deepmf_sumo.planners.idm import Settings, build
 from deepmf_sumo.scene import Driver
 from deepmf_sumo.sumo.simulation import network_case, simulate
@@ -107,7 +107,7 @@ def test_the_opponent_leaves_where_the_network_ends(tmp_path, starts_sumo):
     case = network_case(config, 2.0, "av", 79)
     poses = [[2103.0 + 2.0 * step, -8.0, 0.0] for step in range(60)]
     settings = plugins.settings("adversaries", "trajectory", {"agent": "ov", "poses": poses})
-    policy = _fixed_path.build(settings)
+    policy = trajectory.TrajectoryPolicy(settings)
     rollout = simulate(case, build(Settings()), policy, rng=np.random.default_rng(0))
     tracks, row = rollout.tracks, rollout.tracks.row("ov")
     last = int(np.flatnonzero(tracks.valid[row])[-1])
