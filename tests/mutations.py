@@ -93,13 +93,13 @@ MUTATIONS = (
         "deepmf/test_tracking.py",
     ),
     Mutation(
-        "forbidden candidates that collide are chosen", "deepmf/constraints.py",
+        "forbidden candidates that collide are chosen", "deepmf/scoring.py",
         "bars = pairs.collides.any(axis=1) & ~mask.allowed",
         "bars = np.zeros(len(mask.allowed), bool)",
         "deepmf/test_selection.py deepmf/test_steering.py deepmf/test_new_constraint.py",
     ),
     Mutation(
-        "a sector counts though most contacts are elsewhere", "deepmf/constraints.py",
+        "a sector counts though most contacts are elsewhere", "deepmf/scoring.py",
         "2 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass",
         "4 * (pairs.reaction_probability * there).sum(axis=1) > pairs.mass",
         "deepmf/test_selection.py deepmf/test_steering.py",
