@@ -121,7 +121,7 @@ def test_a_cycle_lane_is_road_to_a_cyclist_alone():
         view = people_view(
             {"av": ("vehicle", 0, 0, 0, 10.0), "p": (kind, 10, -1.0, 0, 4.0)}, road=road
         )
-        situation = replace(situation_of(("cyclist", 10, -1.0, 0, 4.0)), view=view)
+        situation = replace(situation_of(("cyclist", 10, -1.0, 0, 4.0)), view=view, kind=kind)
         assert bool(leaves_road(situation, own, np.array([80.0]))[0]) == leaves
 
 
