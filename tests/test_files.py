@@ -246,7 +246,7 @@ OURS = {
     "training/generated/street_graph.py": "what netgenerate wrote a moment ago",
     "training/generated/layout.py": "input of netconvert in a folder of its own",
     "training/generated/demand.py": "files of a folder that is made whole",
-    "sumo/network/shapes.py": "what netconvert wrote a moment ago",
+    "sumo/network/conversion.py": "what netconvert wrote a moment ago",
     "sumo/network/plain_net.py": "input of netconvert in a folder of its own",
     "sumo/network/mapping.py": "files of a folder that is made whole",
     "exporters/fcd.py": "files of a folder that is made whole",

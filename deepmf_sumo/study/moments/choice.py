@@ -1,15 +1,17 @@
-"""Sightings -> moments, spread over edges, junction movements and time."""
+"""Sightings -> moments, spread over edges, junction movements and time.
+
+A network is attacked only after its traffic has built up.
+"""
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepmf_sumo.scene import Bools, Floats
 from deepmf_sumo.spec.profiles import LONG_S
-from deepmf_sumo.study.moments import warm_up
 from deepmf_sumo.study.moments.area import gets_there
 from deepmf_sumo.study.moments.encounters import FROM_M, NONE, Encounters, nobody_met
 from deepmf_sumo.study.moments.moment import (
@@ -22,7 +24,7 @@ from deepmf_sumo.study.moments.moment import (
     suitable,
 )
 from deepmf_sumo.sumo.network.sumo_net import NetFile
-from deepmf_sumo.sumo.simulation.traffic_survey import Ints, Sightings
+from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Ints, Sightings, growth
 
 ALONG: Final = "along"
 _TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
@@ -34,6 +36,10 @@ _CLOSER: Final = 1e-3
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
 Turns = Mapping[tuple[str, str], str]
+_WINDOW_S: Final = 60.0
+"""Counts are smoothed over this time, or over a tenth of the traffic's time if that is shorter."""
+_REACHED: Final = 0.9
+"""The number has settled when it comes to this share of its level."""
 
 
 def choose(
@@ -55,7 +61,7 @@ def choose(
 
     Raises UsageError where the wish names a vehicle, a type or a time that is not in the traffic.
     """
-    begin = warm_up.beginning(sightings, wish)
+    begin = _beginning(sightings, wish)
     from_s, why = begin or (None, "")
     rows, none_at_all = suitable(sightings, wish, from_s, why, within)
     reason = none_at_all
@@ -336,3 +342,61 @@ def _leave(sightings: Sightings, duration_s: float) -> Bools:
     until = np.minimum(sightings.time_s + duration_s, sightings.until_s - 1.0)
     leaves: Bools = last[sightings.vehicle] < until
     return leaves
+
+
+class _Beginning(NamedTuple):
+    """From when on moments are chosen, and why, for the end of a sentence; empty if as asked."""
+
+    time_s: float
+    why: str = ""
+
+
+def _beginning(sightings: Sightings, wish: WantedMoments) -> _Beginning | None:
+    """When attacks may begin; None where nothing was asked for, or there is no traffic."""
+    if wish.from_s is None:
+        return None
+    if wish.from_s != "settled":
+        return _Beginning(wish.from_s)
+    return settled(*_counts(sightings))
+
+
+def _counts(sightings: Sightings) -> tuple[Floats, Floats]:
+    """(N) times a second apart, from the first vehicle to the last, and (N) vehicles on the road.
+
+    Parked vehicles, bicycles and trains are left out.
+    """
+    seen = sightings.time_s[opponents(sightings)]
+    if not len(seen):
+        return np.zeros(0), np.zeros(0)
+    first, last = float(seen.min()), float(seen.max())
+    time_s: Floats = np.arange(first, last + EVERY_S / 2, EVERY_S)
+    ends = np.searchsorted(seen, time_s + 1e-6, "right")
+    begins = np.searchsorted(seen, time_s - 1e-6, "left")
+    return time_s, (ends - begins).astype(float)
+
+
+def settled(time_s: Floats, number: Floats) -> _Beginning | None:
+    """When a number of vehicles (N) at times (N) has settled.
+
+    Its level is the median over the second half; it has settled at the first time from which on
+    the mean of a minute is 90 % of that. Where the number still grows, it is the middle of the
+    time: see `traffic_survey.growth`.
+    """
+    if not len(number):
+        return None
+    change = growth(number)
+    if change.goes_on:
+        return _Beginning(
+            float(time_s[len(time_s) // 2]),
+            "half of this time: the number of vehicles still grows"
+            f" (on average {change.third:.0f} in the third quarter of it, {change.last:.0f} in the"
+            " last)",
+        )
+    level = float(np.median(number[len(number) // 2 :]))
+    window = max(1, round(min(_WINDOW_S, len(number) / 10) / EVERY_S))
+    mean = np.convolve(number, np.ones(window) / window, "valid")
+    reached = np.flatnonzero(mean >= _REACHED * level)
+    at = int(reached[0]) if len(reached) else len(number) // 2
+    return _Beginning(
+        float(time_s[at]), f"when the number of vehicles has settled at about {level:.0f}"
+    )

@@ -1,4 +1,8 @@
-"""Where and when a vehicle is attacked: what is asked for, and what is found."""
+"""Where and when a vehicle is attacked: what is asked for, and what is found.
+
+Who walks into an AV that stands in a queue says nothing about the AV. Attacks by people begin where
+it drives for most of the time that they have, and where somebody can get onto its way in time.
+"""
 
 import difflib
 import math
@@ -9,10 +13,10 @@ from typing import Final, Literal
 import numpy as np
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.scene import DT_S, AgentId, Bools
+from deepmf_sumo.scene import DT_S, AgentId, Bools, Floats
 from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.spec import Who
-from deepmf_sumo.study.moments.people_met import DRIVES_MPS, drives, reached
 from deepmf_sumo.sumo.simulation.road_users import kind_of
 from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, DemandVehicle, Ints, Sightings
 
@@ -20,6 +24,17 @@ VehicleTime = tuple[AgentId, float]
 """A vehicle at a time of the simulation, in seconds to a tenth."""
 
 Preference = Literal["both", "spread", "encounters"]
+_DRIVES_MPS: Final = 3.0
+_MOST: Final = 0.75
+_FIRST_S: Final = 2
+"""Sooner nobody gets onto its way."""
+_SETS_OFF_S: Final = 1.0
+_EITHER_S: Final = 0.01
+_NEAR_M: Final = 1.0
+"""Half of the AV and half of a person."""
+_HURRIES_MPS: Final = {
+    kind: ROAD_USERS[kind].motion.usual_mps[-1] for kind in ("pedestrian", "bicycle")
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +53,7 @@ class WantedMoments:
         seed: of the choice.
         prefer: ``encounters`` first chooses vehicles that meet another one at a junction without
             any attack; ``both`` spreads over places and time, and does so within each place.
-        from_s: only from this time of the simulation on; ``settled``: see `warm_up`.
+        from_s: only from this time of the simulation on; ``settled``: see `choice`.
         where: the area that is attacked, in words; empty: the whole network.
         people: who attacks: people of the demand, made ones, or both; empty: vehicles.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
@@ -295,7 +310,7 @@ def _people_meet_it(
     sightings: Sightings, wish: WantedMoments, named: str
 ) -> Iterator[tuple[Bools, str]]:
     """Of attacks by people: an AV that drives, and, if nobody is made, somebody who gets to it."""
-    drive = f"drive at {DRIVES_MPS:g} m/s or more for most of an attack by people"
+    drive = f"drive at {_DRIVES_MPS:g} m/s or more for most of an attack by people"
     yield drives(sightings, wish.duration_s), f"{named} must {drive}, and none does"
     if wish.people == "existing":
         nobody = f"no pedestrian and no cyclist could get onto the way of {named} in time"
@@ -378,3 +393,53 @@ def _when(sightings: Sightings, wish: WantedMoments) -> str:
 
 def _times(wish: WantedMoments) -> str:
     return " or ".join(f"{one:g} s" for one in wish.at_s)
+
+
+def drives(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) whether it drives at 3 m/s or more at three quarters of the seconds of an attack."""
+    later, seconds = _Later(sightings, duration_s), range(1, max(round(duration_s), 1) + 1)
+    fast = [later(sightings.speed_mps, second) >= _DRIVES_MPS for second in seconds]
+    driven: Bools = np.mean(fast, axis=0) >= _MOST  # who has left does not drive
+    return driven
+
+
+def reached(sightings: Sightings, duration_s: float) -> Bools:
+    """(K) whether a pedestrian or a cyclist can be where the AV will be, at the same time.
+
+    In a straight line, at 8 km/h on foot and 20 km/h on a bicycle, a second after the beginning.
+    """
+    found = np.zeros(len(sightings.time_s), bool)
+    seconds = np.arange(_FIRST_S, max(round(duration_s), _FIRST_S) + 1)
+    later = _Later(sightings, duration_s)
+    ways_m = np.stack([later(sightings.position_m, second) for second in seconds.tolist()], axis=1)
+    cyclists = np.array([kind_of(one.permission) == "cyclist" for one in sightings.bodies], bool)
+    rides = np.flatnonzero(cyclists[sightings.vehicle] & ~sightings.parked)
+    groups = (
+        (sightings.walker_s, sightings.walker_m, _HURRIES_MPS["pedestrian"]),
+        (sightings.time_s[rides], sightings.position_m[rides], _HURRIES_MPS["bicycle"]),
+    )
+    for time_s, place_m, fastest_mps in groups:
+        reach_m = _NEAR_M + fastest_mps * (seconds - _SETS_OFF_S)
+        for now in np.unique(time_s):
+            rows = np.flatnonzero(sightings.time_s == now)
+            apart = ways_m[rows, :, None] - place_m[time_s == now]
+            near = np.hypot(apart[..., 0], apart[..., 1]) <= reach_m[:, None]
+            found[rows] |= near.any(axis=(1, 2))
+    return found
+
+
+class _Later:
+    """Sightings of the same vehicle some seconds later."""
+
+    def __init__(self, sightings: Sightings, duration_s: float) -> None:
+        span = float(sightings.until_s - min(sightings.begin_s, 0.0)) + duration_s + 1.0
+        self._key = sightings.vehicle * span + sightings.time_s
+        self._order = np.argsort(self._key, kind="stable")
+
+    def __call__(self, values: Floats, seconds: int) -> Floats:
+        """(K, ...) of values (K, ...); nan where the vehicle is not there then."""
+        wanted, key = self._key + seconds, self._key[self._order]
+        at = np.minimum(np.searchsorted(key, wanted - _EITHER_S), len(key) - 1)
+        later = np.array(values[self._order[at]], float)
+        later[np.abs(key[at] - wanted) > _EITHER_S] = np.nan
+        return later

@@ -1,34 +1,40 @@
-"""Specs -> a result folder; a plan -> one with the tables of its methods."""
+"""Specs -> a result folder; a plan -> one with the tables of its methods.
+
+Moments of runs may be drawn by what earlier runs found: then they are run batch after batch.
+"""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.files import cache_folder
-from deepmf_sumo.results import folder, stored
+from deepmf_sumo.results import findings, folder, stored
 from deepmf_sumo.results.folder import opened
-from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.quantities import SPARE, criticality
+from deepmf_sumo.results.result import Result, attacked
 from deepmf_sumo.spec import FromMoments, Spec, tasks
 from deepmf_sumo.spec.tasks import Part, Task
 from deepmf_sumo.study import moments
 from deepmf_sumo.study.moments import FoundMoments, Moment, MomentRequest
+from deepmf_sumo.study.moments.promising import Promising
 from deepmf_sumo.study.plans import entries, layout, tables
 from deepmf_sumo.study.plans.entries import Entry
 from deepmf_sumo.study.plans.layout import PlanLayout
 from deepmf_sumo.study.plans.plan import Loaded
-from deepmf_sumo.study.plans.rounds import DrawRounds, refuse
 from deepmf_sumo.study.sweep import batch, shards
-from deepmf_sumo.study.sweep.batch import Progress
+from deepmf_sumo.study.sweep.batch import Options, Progress
 from deepmf_sumo.study.sweep.inputs import fingerprinted
 from deepmf_sumo.study.sweep.shards import Shard, note
 
 Report = Callable[[Progress], None]
 Announce = Callable[[MomentRequest, FoundMoments], None]
 """Called with the moments of a network that were found."""
+_NEAR: Final = 0.5
+"""Worth of a contact that is no finding; of a miss less, by how near it came."""
 
 
 def run_specs(
@@ -270,3 +276,74 @@ def _named(value: Any) -> Any:
     if isinstance(value, list):
         return [_named(each) for each in value]
     return Path(value).name if isinstance(value, str) and value.startswith(os.sep) else value
+
+
+class DrawRounds:
+    """The moments of specs with ``draw: promising``, see `study.moments.promising`."""
+
+    def __init__(self) -> None:
+        self._pools: list[tuple[dict[str, int], Promising]] = []
+        self._runs: dict[str, Task] = {}  # of all moments
+        self._tasks: dict[str, Task] = {}  # drawn
+        self._moments: dict[str, Moment] = {}
+
+    def add(self, request: MomentRequest, found: FoundMoments, runs: Sequence[Task]) -> None:
+        """The pool of a spec, and the run of each of its moments."""
+        spread = [at for _, at in sorted(zip(found.order, range(len(runs)), strict=True))]
+        pool = [found.moments[at] for at in spread]
+        places = {runs[at].run_id: place for place, at in enumerate(spread)}
+        self._pools.append((places, Promising(pool, request.wish.count, request.spec.seed)))
+        self._moments |= zip((one.run_id for one in runs), found.moments, strict=True)
+
+    @property
+    def left(self) -> int:
+        """Runs that are not drawn yet."""
+        return sum(promising.count for _, promising in self._pools) - len(self._tasks)
+
+    @property
+    def drawn(self) -> list[tuple[Task, Moment]]:
+        """All runs so far."""
+        return [(task, self._moments[run_id]) for run_id, task in self._tasks.items()]
+
+    def begin(self, planned: Iterable[Task]) -> list[Task]:
+        """The runs to begin with: of the pools the first moments, and all other runs."""
+        every = list(planned)
+        self._runs = {task.run_id: task for task in every}
+        first = {task.run_id: task for task in self([])}
+        later = {run_id for places, _ in self._pools for run_id in places} - first.keys()
+        self._tasks = {one.run_id: first[one.run_id] for one in every if one.run_id in first}
+        return [first.get(one.run_id, one) for one in every if one.run_id not in later]
+
+    def __call__(self, results: Sequence[Result]) -> list[Task]:
+        """The next runs, by what all before them found; none at the end."""
+        found = {one["run_id"]: _worth(one) for one in results}
+        drawn = {}
+        for places, promising in self._pools:
+            names = list(places)
+            known = {
+                places[name]: value for name in names if (value := found.get(name)) is not None
+            }
+            for place, draw in promising.draw(known).items():
+                drawn[names[place]] = replace(self._runs[names[place]], draw=draw)
+        self._tasks |= drawn
+        return list(drawn.values())
+
+
+def refuse(request: MomentRequest, options: Options) -> None:
+    """Raise UsageError where not all runs of a spec whose moments are drawn would be done here."""
+    for option, given in (("--shard", options.shard), ("-k", options.name_filter)):
+        if request.wish.pool and given:
+            raise UsageError(
+                f"{option} leaves runs out, and with source.moments.draw: promising the runs before"
+                " decide which are next: leave one of them out."
+            )
+
+
+def _worth(result: Result) -> float | None:
+    """1 for a finding, 0 where nothing came near; None where no vehicle attacked."""
+    if result["status"] != "ok" or not attacked(result):
+        return None
+    metrics = {name: one["value"] for name, one in result["metrics"].items()}
+    if findings.finding(metrics):
+        return 1.0
+    return _NEAR * criticality(metrics[SPARE]) if SPARE in metrics else 0.0

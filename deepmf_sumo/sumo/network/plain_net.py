@@ -1,6 +1,6 @@
 """The network to build in SUMO's terms (nodes, edges with lanes, connections), as plain XML.
 
-netconvert changes its shapes; `shapes` restores them.
+netconvert changes its shapes; `conversion` restores them.
 """
 
 from collections.abc import Iterable

@@ -1,4 +1,10 @@
-"""The world of a recorded scene: the AV in SUMO, vehicles that follow the log or SUMO."""
+"""The world of a recorded scene: the AV in SUMO, vehicles that follow the log or SUMO.
+
+SUMO stops for each vehicle that is matched to the AV's lane, and for each foe inside a junction,
+wherever it is there: foes in SUMO wait before the junction. Recorded ones wait a few metres inside,
+and parked ones half on the lane. Stationary vehicles that do not reach into the AV's swept path are
+therefore put on SUMO's ignore lists.
+"""
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -8,20 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
+from deepmf_sumo.planners.perception import entries
 from deepmf_sumo.scene import (
     AgentId,
     Command,
     Driver,
     Event,
+    Floats,
     RecordedCase,
     SignalState,
     Tracks,
     VehicleModel,
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
+from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
 from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
-from deepmf_sumo.sumo.simulation.ignored_vehicles import IgnoredVehicles
 from deepmf_sumo.sumo.simulation.log_plan import (
     Log,
     check_route,
@@ -52,6 +60,9 @@ from deepmf_sumo.sumo.simulation.world import World
 
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
 _ON_ROUTE = 1  # keepRoute: the nearest point of its route
+_NEAR_M = 60.0
+_MARGIN_M = 0.2
+_IGNORED_BY = ("carFollowModel.ignoreIDs", "junctionModel.ignoreIDs")
 
 
 class RecordedVehicles:
@@ -498,3 +509,38 @@ class LogWorld:
                 self._free.enter(row, step)
             elif not free or row in self._free.lost:
                 self._placed.put(row, step)
+
+
+class IgnoredVehicles:
+    """Keeps SUMO's lists of vehicles that the AV ignores."""
+
+    def __init__(self, api: SumoApi, av_id: AgentId, width_m: float) -> None:
+        self._api = api
+        self._id = av_id
+        self._half_m = width_m / 2 + _MARGIN_M
+        self._ignored = ""
+
+    def update(self, frame: Frame, size_m: Floats, path_m: Floats | None) -> None:
+        """Set the vehicles to ignore in the coming step.
+
+        Args:
+            frame: at the current step.
+            size_m: (N, 2) length and width of its agents.
+            path_m: centre line ahead of the AV; None off the lanes.
+        """
+        ids = "" if path_m is None else " ".join(self._beside(frame, size_m, path_m))
+        if ids != self._ignored:
+            self._ignored = ids
+            for key in _IGNORED_BY:
+                self._api.vehicle.setParameter(self._id, key, ids)
+
+    def _beside(self, frame: Frame, size_m: Floats, path_m: Floats) -> list[AgentId]:
+        near = np.hypot(*(frame.position_m - path_m[0]).T) < _NEAR_M
+        slow = np.hypot(*frame.velocity_mps.T) < WAITING_MPS
+        rows = [row for row in np.flatnonzero(near & slow) if frame.ids[row] != self._id]
+        if not rows:
+            return []
+        gap, _ = entries(
+            path_m, self._half_m, frame.position_m[rows], frame.heading_rad[rows], size_m[rows]
+        )
+        return [frame.ids[row] for row in np.array(rows)[~np.isfinite(gap)]]

@@ -196,7 +196,7 @@ def _of_backend(backend: Backend) -> tuple[str, ...]:
         return _NO_PORT
     if backend == "traci":
         return ()
-    # no delay on the way to the start; from there on `gui` keeps time
+    # no delay on the way to the start; from there on `GuiWindow` keeps time
     shown = ("--window-size", "1200,800", "--start", "true", "--quit-on-end", "true")
     return (*shown, "--delay", "0")
 

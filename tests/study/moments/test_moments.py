@@ -10,7 +10,7 @@ import pytest
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.scene import Lane, RoadMap
 from deepmf_sumo.scene.geometry.ground import ground_of
-from deepmf_sumo.study.moments import search, warm_up
+from deepmf_sumo.study.moments import choice, search
 from deepmf_sumo.study.moments.choice import choose
 from deepmf_sumo.study.moments.flow import accompanied
 from deepmf_sumo.study.moments.moment import Moment, WantedMoments, around, opponents
@@ -171,10 +171,10 @@ def test_moments_before_the_beginning_are_left_out_and_why_is_said():
 )
 def test_traffic_has_settled_at_nine_tenths_of_its_level(number, begins, why):
     """Of a minute's mean; a number that still grows is attacked from its middle."""
-    found = warm_up.settled(np.arange(float(len(number))), np.array(number, float))
+    found = choice.settled(np.arange(float(len(number))), np.array(number, float))
     assert found.time_s == pytest.approx(begins, abs=2.0)
     assert re.search(why, found.why)
-    assert warm_up.settled(np.zeros(0), np.zeros(0)) is None
+    assert choice.settled(np.zeros(0), np.zeros(0)) is None
 
 
 def test_the_moments_of_another_attack_are_taken_again():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.study.moments.choice import choose
-from deepmf_sumo.study.moments.moment import WantedMoments
-from deepmf_sumo.study.moments.people_met import drives, reached
+from deepmf_sumo.study.moments.moment import WantedMoments, drives, reached
 from deepmf_sumo.sumo.simulation.traffic_survey import DemandVehicle, Sightings
 
 SECONDS = 30

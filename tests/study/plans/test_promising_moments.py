@@ -13,7 +13,7 @@ from deepmf_sumo.results.risk import attacks
 from deepmf_sumo.spec import tasks
 from deepmf_sumo.study import plans
 from deepmf_sumo.study.moments import FoundMoments, Moment
-from deepmf_sumo.study.plans.rounds import DrawRounds
+from deepmf_sumo.study.plans.run import DrawRounds
 from deepmf_sumo.study.sweep import batch
 
 from tests.support import tiny_network

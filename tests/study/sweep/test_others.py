@@ -8,7 +8,7 @@ import yaml
 from deepmf_sumo import spec
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.spec import tasks
-from deepmf_sumo.study.sweep import others
+from deepmf_sumo.study.sweep import batch
 from deepmf_sumo.study.sweep.inputs import fingerprinted
 
 from tests.support import recordings_by_hand as hand
@@ -24,7 +24,7 @@ def again(tmp_path, planned):
         folder.mkdir(parents=True)
         (folder / "spec.yaml").write_text(yaml.safe_dump(task.resolved(), sort_keys=False))
     results = [{"run_id": task.run_id, "scene": task.scene} for task in planned]
-    return [one for result in results for one in others._task_of(store, result)]
+    return [one for result in results for one in batch._task_of(store, result)]
 
 
 def keys(found):
@@ -58,4 +58,4 @@ def test_a_spec_that_cannot_be_read_any_more_is_no_run(tmp_path):
     assert len(again(tmp_path, planned)) == 1
     (tmp_path / "runs" / planned[0].run_id / "spec.yaml").write_text("version: 99\n")
     result = {"run_id": planned[0].run_id, "scene": planned[0].scene}
-    assert others._task_of(Store(tmp_path), result) == []
+    assert batch._task_of(Store(tmp_path), result) == []

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from deepmf_sumo.study.sweep import inputs, user_code
+from deepmf_sumo.study.sweep import inputs
 
 PLANNER = """
 import json, math, numpy
@@ -89,7 +89,7 @@ def loaded(folder, module):
 def test_all_that_python_loads_counts_and_no_neighbour(folder):
     packaged(folder, "one")
     __import__("one.planner")
-    found = user_code.of_module("one.planner")
+    found = inputs.of_module("one.planner")
     told = names(folder, found)
     assert told == {
         "one", "helpers/__init__.py", "helpers/gain.py", "helpers/deeper.py",
@@ -101,7 +101,7 @@ def test_all_that_python_loads_counts_and_no_neighbour(folder):
 
 def test_without_being_imported_all_but_computed_names_are_found(folder):
     packaged(folder, "two")
-    told = names(folder, user_code.of_module("two.planner"))
+    told = names(folder, inputs.of_module("two.planner"))
     assert {"two", "helpers/deeper.py", "late.py", "latest.py"} <= told
     assert "two.planner" not in sys.modules
 
@@ -125,7 +125,7 @@ def test_content_counts(folder, file, counts):
     packaged(folder, "three")
 
     def digests():
-        return [inputs.digest(path) for path in user_code.of_module("three.planner")]
+        return [inputs.digest(path) for path in inputs.of_module("three.planner")]
 
     before = digests()
     assert all(before)
@@ -137,7 +137,7 @@ def test_a_module_in_a_folder_that_is_no_package_is_alone_with_what_it_names(fol
     write(folder / "tools/mine.py", 'import json\nfrom pathlib import Path\nFILE = "data/t.csv"\n')
     write(folder / "tools/data/t.csv", "1")
     write(folder / "tools/other.py", "")
-    told = names(folder, user_code.of_module("tools.mine"))
+    told = names(folder, inputs.of_module("tools.mine"))
     assert told == {"tools/mine.py", "tools/data/t.csv"}
 
 
@@ -145,12 +145,12 @@ def test_a_program_counts_with_what_it_imports_from_beside_itself(folder):
     write(folder / "prog/main.py", 'import os, near\nfrom pkg import part\nopen("model.bin", "rb")')
     for name in ("near.py", "pkg/__init__.py", "pkg/part.py", "model.bin", "unused.py"):
         write(folder / "prog" / name, "")
-    told = names(folder / "prog", user_code.of_program(folder / "prog/main.py"))
+    told = names(folder / "prog", inputs.of_program(folder / "prog/main.py"))
     assert told == {"main.py", "near.py", "pkg/__init__.py", "pkg/part.py", "model.bin"}
-    assert user_code.of_program(folder / "no.py") == []
-    assert user_code.of_module("no_such_module") == []
+    assert inputs.of_program(folder / "no.py") == []
+    assert inputs.of_module("no_such_module") == []
 
 
 def test_installed_packages_do_not_count_but_an_installed_planner_does():
-    assert user_code.of_module("numpy.linalg")[0].name == "numpy"
-    assert len(user_code.of_module("pydantic.main")) == 1
+    assert inputs.of_module("numpy.linalg")[0].name == "numpy"
+    assert len(inputs.of_module("pydantic.main")) == 1

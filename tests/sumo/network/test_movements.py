@@ -6,8 +6,7 @@ import pytest
 from deepmf_sumo.errors import ConversionError
 from deepmf_sumo.scene import Lane, RoadMap
 from deepmf_sumo.sumo.network.lane_graph import lane_graph
-from deepmf_sumo.sumo.network.layout import layout
-from deepmf_sumo.sumo.network.movements import MOST_MOVEMENTS, TooManyMovementsError, movements
+from deepmf_sumo.sumo.network.layout import MOST_MOVEMENTS, TooManyMovementsError, layout, movements
 
 
 class Graph:

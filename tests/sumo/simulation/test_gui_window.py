@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepmf_sumo.sumo.simulation import gui
+from deepmf_sumo.sumo.simulation import episode
 from deepmf_sumo.sumo.simulation.frame import Frame
 
 EMPTY = Frame.of_poses({})
@@ -13,7 +13,7 @@ EMPTY = Frame.of_poses({})
 def test_av_and_opponents_are_coloured_and_the_av_is_followed(monkeypatch):
     slept, colours, calls = [], {}, []
     clock = SimpleNamespace(monotonic=lambda: sum(slept), sleep=slept.append)
-    monkeypatch.setattr(gui, "time", clock)
+    monkeypatch.setattr(episode, "time", clock)
     there = ["av", "a", "b"]
     vehicle = SimpleNamespace(
         getIDList=lambda: there,
@@ -27,7 +27,7 @@ def test_av_and_opponents_are_coloured_and_the_av_is_followed(monkeypatch):
         getSchema=lambda view: "standard",
         setSchema=lambda view, name: calls.append(name),
     )
-    window = gui.GuiWindow(SimpleNamespace(vehicle=vehicle, gui=shown), "av")
+    window = episode.GuiWindow(SimpleNamespace(vehicle=vehicle, gui=shown), "av")
     window.on_step(EMPTY, ("a",))
     first = dict(colours)
     assert set(first) == {"av", "a"}

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepmf_sumo.sumo.simulation.route_ahead import RouteAhead
+from deepmf_sumo.sumo.simulation.av import RouteAhead
 
 POINT = ((20.0, 5.0), (20.0, 5.0))
 """SUMO's own grid6 has lanes of 0.1 m inside junctions that are one point, given twice."""
