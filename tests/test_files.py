@@ -258,7 +258,7 @@ OURS = {
     "roadcheck/conflicts.py": "answers of its own processes",
     "training/recording/driver_population.py": "a file for SUMO in a folder of its own",
     "study/moments/search.py": "answers of its own processes",
-    "roadcheck/countermeasures/shown.py": "what SUMO wrote a moment ago",
+    "roadcheck/countermeasures/building.py": "what SUMO wrote a moment ago",
     "sumo/simulation/sumo_api.py": "a file for SUMO in a folder of its own",
     "sumo/simulation/sumo_config.py": "a file for SUMO in a folder of its own",
     "sumo/simulation/sumo_words.py": "messages of SUMO in a folder of its own",

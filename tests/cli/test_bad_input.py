@@ -12,14 +12,14 @@ from collections import Counter
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.scene.readers import _tfrecord
+from deepmf_sumo.scene.readers import womd
 
 from tests.support import tiny_network
 from tests.support.recordings_by_hand import scenario
 
 
 def record(message):
-    return _tfrecord.framed(message.SerializeToString())
+    return womd.framed(message.SerializeToString())
 
 
 def without_lanes():

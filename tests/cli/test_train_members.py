@@ -19,7 +19,7 @@ def trained(monkeypatch, tmp_path, capsys):
     """Members and seeds that ``train`` asks for, without training."""
     asked = []
     monkeypatch.setattr(
-        command.members, "train", lambda training, _: asked.append((training.members, "all"))
+        command, "train_members", lambda training, _: asked.append((training.members, "all"))
     )
     monkeypatch.setattr(run, "train", lambda network, training, *_: asked.append((0, network)))
     npz.write(scene(), tmp_path / "one.npz")

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from deepmf_sumo.scene.readers import _tfrecord
+from deepmf_sumo.scene.readers import womd
 from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 AV_SIZE = (5.286, 2.332, 2.33)
@@ -86,7 +86,7 @@ def add_lane(message, number, start, length, **links):
 
 
 def shard(path, *messages):
-    path.write_bytes(b"".join(_tfrecord.framed(one.SerializeToString()) for one in messages))
+    path.write_bytes(b"".join(womd.framed(one.SerializeToString()) for one in messages))
     return path
 
 

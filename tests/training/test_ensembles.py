@@ -11,7 +11,7 @@ from deepmf_sumo.deepmf.networks import torch_networks, weights
 from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.errors import OutputError, RunError
 from deepmf_sumo.scene import readers
-from deepmf_sumo.training import cards, initial_weights, members, run
+from deepmf_sumo.training import cards, command, initial_weights, run
 from deepmf_sumo.training.config import Optimisation
 from deepmf_sumo.training.fit import checkpoints, loop
 from deepmf_sumo.training.samples import trajectory
@@ -60,7 +60,7 @@ def made(data):
     lines, folder = [], data.parent / "made"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trajectory, "WINDOW_STEPS", (10,))
-        members.train(training_of(data, folder), lines.append)
+        command.train_members(training_of(data, folder), lines.append)
     return folder, lines
 
 
@@ -117,7 +117,7 @@ def test_members_differ_by_seed_and_the_first_card_lists_them(trained, made):
 def test_what_has_been_made_stays(trained):
     before = {file: file.stat().st_mtime_ns for file in trained.folder.glob("*.*")}
     lines = []
-    members.train(trained, lines.append)
+    command.train_members(trained, lines.append)
     assert before == {file: file.stat().st_mtime_ns for file in trained.folder.glob("*.*")}
     assert [line.split(":")[0] for line in lines] == ["marginal", "marginal-2"]
 
@@ -135,9 +135,9 @@ def test_a_run_interrupted_in_the_second_member_gives_the_same_bytes(training, m
     with monkeypatch.context() as patch:
         patch.setattr(loop._Run, "step", cut)
         with pytest.raises(RunError, match="cut off"):
-            members.train(training, lines.append)
+            command.train_members(training, lines.append)
     assert "members" not in card(training)  # a set of one network until the second is there
-    members.train(training, lines.append)
+    command.train_members(training, lines.append)
     assert any("resuming from step 1" in line for line in lines)
     assert any(line.startswith("marginal: this training is complete") for line in lines)
     assert contents(training.folder) == contents(made[0])
@@ -145,12 +145,12 @@ def test_a_run_interrupted_in_the_second_member_gives_the_same_bytes(training, m
 
 def test_fewer_members_take_the_first_ones_own_temperature(trained):
     alone = card(trained)["members"][0]["temperature"]
-    members.train(replace(trained, members=1), print)
+    command.train_members(replace(trained, members=1), print)
     assert card(trained)["temperature"] == alone
     assert "members" not in card(trained)
     assert "mixture" not in card(trained)
     lines = []
-    members.train(trained, lines.append)  # both are there: nothing is trained
+    command.train_members(trained, lines.append)  # both are there: nothing is trained
     assert not any(line.startswith("step") for line in lines)
     assert len(card(trained)["members"]) == 2
 
@@ -159,7 +159,7 @@ def test_other_members_need_another_temperature(trained):
     cards.add_results(trained.folder, {"data": ["val"], "marginal": {"objects": 1}})
     assert "results" in card(trained)
     listed = card(trained)["members"]
-    members.train(replace(trained, seed=6), print)
+    command.train_members(replace(trained, seed=6), print)
     assert [one["seed"] for one in card(trained)["members"]] == [6, 7]
     assert card(trained)["members"] != listed
     assert "results" not in card(trained)
@@ -188,7 +188,7 @@ def test_a_card_that_cannot_be_written_leaves_the_members(trained, monkeypatch):
 
     monkeypatch.setattr(checkpoints, "write", full)
     with pytest.raises(OutputError, match="No space left on device"):
-        members.train(trained, print)
+        command.train_members(trained, print)
     assert card(trained) == before
 
 

@@ -14,7 +14,7 @@ from deepmf_sumo.deepmf.networks.people_net import MOTIONS
 from deepmf_sumo.scene import ROLLOUT, readers
 from deepmf_sumo.training import run
 from deepmf_sumo.training.config import Optimisation
-from deepmf_sumo.training.evaluation.people import PeopleFigures, densities
+from deepmf_sumo.training.evaluation.recordings import PeopleFigures, densities
 from deepmf_sumo.training.evaluation.table import Key
 from deepmf_sumo.training.networks.people import PeopleLayers, loss_of, mirrored
 from deepmf_sumo.training.samples import windows

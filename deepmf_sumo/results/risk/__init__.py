@@ -6,8 +6,15 @@
                             places: lanes, edges, junctions, movements
 """
 
-from deepmf_sumo.results.risk.attack_table import ATTACKED, attack_rows
-from deepmf_sumo.results.risk.attacks import Attacked, Network, PlacePair, conflicts, read
+from deepmf_sumo.results.risk.attacks import (
+    ATTACKED,
+    Attacked,
+    Network,
+    PlacePair,
+    attack_rows,
+    conflicts,
+    read,
+)
 from deepmf_sumo.results.risk.coverage import EvidenceCell, coverage
 from deepmf_sumo.results.risk.kinds import by_type
 from deepmf_sumo.results.risk.table import PlaceRow, columns, rows, worst

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.training.generated import demand, motorway, roundabouts, street_graph
+from deepmf_sumo.training.generated import demand, motorway, street_graph
 from deepmf_sumo.training.generated.layout import GeneratedLayout, build
-from deepmf_sumo.training.generated.street_attributes import dress
+from deepmf_sumo.training.generated.street_graph import dress
 
 __all__ = ["KINDS", "MIX", "generate", "kinds_of"]
 
@@ -18,7 +18,7 @@ def _streets(
 ) -> Callable[[np.random.Generator], GeneratedLayout]:
     def layout(rng: np.random.Generator) -> GeneratedLayout:
         dressed = dress(make(rng), rng)
-        roundabouts.add(dressed, rng)
+        street_graph.add_roundabouts(dressed, rng)
         return dressed
 
     return layout

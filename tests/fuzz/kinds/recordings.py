@@ -16,7 +16,7 @@ from deepmf_sumo import plugins
 from deepmf_sumo.cli import data, main  # noqa: F401 - loaded once, not in each process
 from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.scene import readers
-from deepmf_sumo.scene.readers import _tfrecord, npz, read_by, womd
+from deepmf_sumo.scene.readers import npz, read_by, womd
 from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 from tests.fuzz import mutators, runner
@@ -51,9 +51,7 @@ def _change_shard(rng: random.Random, path: Path) -> None:
     if rng.random() < 0.3:  # the framing
         mutators.file(rng, path)
         return
-    payloads = [
-        one.payload for one in _tfrecord.records(path) if isinstance(one, _tfrecord.TfRecord)
-    ]
+    payloads = [one.payload for one in womd.records(path) if isinstance(one, womd.TfRecord)]
     at = rng.randrange(len(payloads))
     if rng.random() < 0.4:
         payloads[at] = mutators.damage(rng, payloads[at])
@@ -62,7 +60,7 @@ def _change_shard(rng: random.Random, path: Path) -> None:
         for _ in range(rng.randint(1, 3)):
             _bend_message(rng, message)
         payloads[at] = message.SerializeToString()
-    path.write_bytes(b"".join(map(_tfrecord.framed, payloads)))
+    path.write_bytes(b"".join(map(womd.framed, payloads)))
 
 
 def _bend_message(rng: random.Random, message: Any) -> None:

@@ -10,7 +10,7 @@ import sumo
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.roadcheck import countermeasures
-from deepmf_sumo.roadcheck.countermeasures import shown, signals
+from deepmf_sumo.roadcheck.countermeasures import building, signals
 
 from tests.support import crossing_network
 
@@ -91,10 +91,10 @@ def meet(one, other):
 )  # fmt: skip
 def test_times_that_are_too_short(states, found):
     wanted = {"yellow": 4.0, "all-red": 2.0}
-    assert [tuple(one) for one in shown.too_short(states, meet, wanted)] == found
+    assert [tuple(one) for one in building.too_short(states, meet, wanted)] == found
 
 
 def test_ways_that_do_not_meet_may_follow_immediately():
     states = [(0, "GrG"), (10, "yrG"), (14, "rrG"), (14.5, "rrg"), (15, "rrr"), (15.1, "rGr")]
-    found = list(shown.too_short(states, lambda one, other: False, {"all-red": 2.0}))
+    found = list(building.too_short(states, lambda one, other: False, {"all-red": 2.0}))
     assert found == []

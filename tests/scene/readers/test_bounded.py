@@ -13,7 +13,7 @@ import pytest
 
 from deepmf_sumo.errors import ReaderError
 from deepmf_sumo.scene import readers
-from deepmf_sumo.scene.readers import Refusal, _bounded, _tfrecord, gpudrive
+from deepmf_sumo.scene.readers import Refusal, _bounded, gpudrive, womd
 from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
 
 from tests.support import recordings_by_hand as by_hand
@@ -148,7 +148,7 @@ def empty_states(count):
 def test_some_kilobytes_that_become_gigabytes_are_a_refusal(count, tmp_path):
     file = tmp_path / "x.tfrecord.gz"
     good = by_hand.scenario(name="after").SerializeToString()
-    content = _tfrecord.framed(empty_states(count)) + _tfrecord.framed(good)
+    content = womd.framed(empty_states(count)) + womd.framed(good)
     file.write_bytes(gzip.compress(content, 1))
     before = peak_mb()
     bad, after = readers.scenes([file])
@@ -159,7 +159,7 @@ def test_some_kilobytes_that_become_gigabytes_are_a_refusal(count, tmp_path):
 
 def test_records_without_end_that_cannot_be_used_are_given_up(tmp_path):
     file = tmp_path / "x.tfrecord.gz"
-    file.write_bytes(gzip.compress(_tfrecord.framed(b"") * 20_000, 1))
+    file.write_bytes(gzip.compress(womd.framed(b"") * 20_000, 1))
     found = list(readers.scenes([file]))
     assert len(found) == 1001
     assert "the rest of it was not read" in found[-1].reason

@@ -60,7 +60,7 @@ def test_the_only_file_must_be_a_recording(data):
 @pytest.mark.sumo
 def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
     read = tmp_path / "read"
-    original = womd._tfrecord.records
+    original = womd.records
 
     def watched(path):
         for record in original(path):
@@ -68,7 +68,7 @@ def test_scenes_come_one_at_a_time(tmp_path, monkeypatch):
                 noted.write(f"{record.index}\n")
             yield record
 
-    monkeypatch.setattr(womd._tfrecord, "records", watched)
+    monkeypatch.setattr(womd, "records", watched)
     shard = by_hand.shard(tmp_path / "b.tfrecord", *([by_hand.scenario()] * 50))
     stream = readers.scenes([shard])
     next(stream)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.scene import SignalState
-from deepmf_sumo.scene.readers import Refusal, _tfrecord, read_by, womd
+from deepmf_sumo.scene.readers import Refusal, read_by, womd
 
 from tests.support.recordings_by_hand import AV_SIZE, add_lane, scenario, shard
 
@@ -260,7 +260,7 @@ def test_a_cut_gzip_shard_gives_what_is_whole(tmp_path):
 
 def test_records_of_another_kind_are_refused(tmp_path):
     file = tmp_path / "other.tfrecord"
-    file.write_bytes(_tfrecord.framed(b"\x0a\x03abc") + _tfrecord.framed(b"\xff\xff"))
+    file.write_bytes(womd.framed(b"\x0a\x03abc") + womd.framed(b"\xff\xff"))
     example, noise = read_by(womd, file)
     assert "'tf_example'" in example.reason
     assert "not a Scenario message" in noise.reason

@@ -10,7 +10,7 @@ from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.network.sumo_net import read_net
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.training import generated
-from deepmf_sumo.training.generated import motorway, roundabouts, street_attributes, street_graph
+from deepmf_sumo.training.generated import motorway, street_graph
 from deepmf_sumo.training.generated.layout import Edge, GeneratedLayout, Node, build
 
 PLAIN = [kind for kind in generated.KINDS if kind != generated.MIX]
@@ -67,7 +67,7 @@ def test_junctions_lanes_and_limits_of_every_sort_are_drawn():
     kinds, lanes, turn_lanes, bends = set(), set(), 0, 0
     for seed in range(150):
         rng = np.random.default_rng(seed)
-        layout = street_attributes.dress(street_graph.crossing(rng), rng)
+        layout = street_graph.dress(street_graph.crossing(rng), rng)
         kinds |= {node.kind for node in layout.nodes.values()}
         lanes |= {edge.lanes for edge in layout.edges.values()}
         turn_lanes += sum(edge.turn_lane_m > 0 for edge in layout.edges.values())
@@ -95,9 +95,9 @@ def star(arms):
 
 @pytest.mark.sumo
 def test_a_roundabout_is_a_ring_with_right_of_way(tmp_path, monkeypatch):
-    monkeypatch.setattr(roundabouts, "_SHARE", 1.0)
+    monkeypatch.setattr(street_graph, "_SHARE", 1.0)
     layout = star(4)
-    roundabouts.add(layout, np.random.default_rng(0))
+    street_graph.add_roundabouts(layout, np.random.default_rng(0))
     assert "m" not in layout.nodes
     net = read_net(build(layout, tmp_path))
     ring = {name: edge for name, edge in net.edges.items() if name.endswith("_ring")}

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from deepmf_sumo.cli.data import record as command
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.readers import npz, read_by
-from deepmf_sumo.training.recording.record import Recording, record
+from deepmf_sumo.training.recording.many import Recording, record
 
 PROGRAMS = Path(sumo.SUMO_HOME) / "bin"
 FLOWS = """<routes><vType id="car" carFollowModel="Krauss"/>

@@ -15,7 +15,7 @@ from deepmf_sumo.planners import idm
 from deepmf_sumo.roadcheck.motion_survey import Survey, survey
 from deepmf_sumo.sumo.simulation import network_case, simulate
 from deepmf_sumo.sumo.simulation.road_users import TrafficReader
-from deepmf_sumo.training.recording.record import Recording, record
+from deepmf_sumo.training.recording.many import Recording, record
 
 from tests.support import mixed_traffic
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.scene import Lane, RoadMap
-from deepmf_sumo.training.recording import record
+from deepmf_sumo.training.recording import many
 
 
 def limited(centre_m, *, interpolating, limit=15.0):
@@ -22,7 +22,7 @@ def limited(centre_m, *, interpolating, limit=15.0):
         z_m=np.zeros(len(centre_m)),
         interpolating=interpolating,
     )
-    record.slow_down(api, RoadMap(lanes={"lane": lane}))
+    many.slow_down(api, RoadMap(lanes={"lane": lane}))
     return limits["lane"]
 
 
@@ -34,7 +34,7 @@ def arc(radius_m, turn_rad):
 @pytest.mark.parametrize("radius_m", [6.0, 15.0, 40.0])
 def test_a_turn_costs_the_comfortable_acceleration(radius_m):
     speed = limited(arc(radius_m, np.pi / 2), interpolating=True)
-    assert speed**2 / radius_m == pytest.approx(record.COMFORTABLE_MPS2, rel=0.1)
+    assert speed**2 / radius_m == pytest.approx(many.COMFORTABLE_MPS2, rel=0.1)
 
 
 def test_a_lower_limit_stays():
