@@ -325,7 +325,7 @@ def locks_known() -> bool:
 
 
 def do_not_wait(stream: int) -> None:
-    """Let reading and writing of a pipe return at once; only with `POLLS`."""
+    """Let reading and writing of a pipe return immediately; only with `POLLS`."""
     assert _set_blocking is not None
     _set_blocking(stream, False)
 

@@ -13,7 +13,7 @@ from deepmf_sumo.cli._sweep import sweep_keys
 from deepmf_sumo.errors import EXIT_CODES, UsageError, worst
 
 if TYPE_CHECKING:
-    from deepmf_sumo.roadcheck.countermeasures import Built
+    from deepmf_sumo.roadcheck.countermeasures.building import Built
 
 _OTHERS: Final = {"configs", "of", "file", "shard", "formats", "tries"} | {
     "av", "at_s", "from_s", "until_s",
@@ -61,15 +61,15 @@ def command(
     either design. Writes OUT/before and OUT/after with results, the changed network, and
     OUT/patch, which netconvert and netedit take. --set sets what attack sets.
     """
-    from deepmf_sumo.roadcheck import countermeasures
+    from deepmf_sumo.roadcheck.countermeasures import building, document
 
     out: Path = wanted.pop("out")
     sweep_keys(sets, "figures", "risk", "thresholds", "baseline")
     if count == 1:
         raise UsageError("--moments 1: it takes two, one for each side.")
-    changes = countermeasures.load(file)
+    changes = document.load(file)
     _check(out, wanted)
-    built = countermeasures.build(config, changes, out)
+    built = building.build(config, changes, out)
     for line in built.done:
         click.echo(line)
     placed = wanted["junctions"] or wanted["edges"] or any(one.startswith(_PLACES) for one in sets)

@@ -2,8 +2,8 @@
 
 ::
 
-    OUT --frame--> numbers a run --limits--> judgements ---+
-                                --comparison--> changes --+--verdict--> exit code, JUnit, Markdown
+    OUT --frame--> numbers a run --thresholds--> judgements, changes --verdict--> exit code, JUnit,
+                                                                                  Markdown
 """
 
 from deepmf_sumo.results.gate.own_hits import SameAttacks

@@ -20,7 +20,6 @@ from deepmf_sumo.errors import Ending, UsageError, exit_code
 from deepmf_sumo.results import run_sets, setups
 from deepmf_sumo.results.comparison import QuantityChange
 from deepmf_sumo.results.frames import rows_of
-from deepmf_sumo.results.gate import comparison
 from deepmf_sumo.results.gate.own_hits import SameAttacks
 from deepmf_sumo.results.gate.thresholds import (
     ALL,
@@ -28,6 +27,7 @@ from deepmf_sumo.results.gate.thresholds import (
     Baseline,
     BoundJudgement,
     Thresholds,
+    compare,
     judge,
 )
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
@@ -161,7 +161,7 @@ def check(
         old = run_sets.read(place)
         apart = setups.differences(found, old)
         if not apart:
-            comparisons = comparison.compare(thresholds.baseline, found, old)
+            comparisons = compare(thresholds.baseline, found, old)
             notes = list(_notes(thresholds.baseline, found, old, comparisons))
             same_attacks = repeat(out, place) if repeat else None
     return GateVerdict(

@@ -3,8 +3,3 @@
 `document` reads the file of changes, `signals` changes signal programs, `building` writes the
 configurations with and without the changes, and the patch for netconvert and netedit.
 """
-
-from deepmf_sumo.roadcheck.countermeasures.building import Built, build
-from deepmf_sumo.roadcheck.countermeasures.document import Change, load
-
-__all__ = ["Built", "Change", "build", "load"]

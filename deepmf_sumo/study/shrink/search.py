@@ -5,12 +5,11 @@ Each candidate is simulated as `deepmf-sumo run` does it, and judged.
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -77,7 +76,7 @@ class CandidateTrial:
 
 
 class Simulator:
-    """A worker process that does one run after another; use it in a ``with`` block."""
+    """A worker process that does one run after another, until `close`."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="deepmf-sumo-shrink-")
@@ -86,15 +85,8 @@ class Simulator:
         self._worker: Worker | None = None
         self.done = 0
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """End the process, and remove what runs wrote."""
         self.renew()
         self._folder.cleanup()
 
@@ -253,7 +245,7 @@ def shrink(
     Raises RunError where the run does not fail again with the recorded path, or a reproducer does
     not repeat byte for byte.
     """
-    with Simulator() as simulator:
+    with closing(Simulator()) as simulator:
         search = _Shrinking(failure, simulator, max(simulations, 3) - 1, report)
         finished = search.run()
         best = search.best

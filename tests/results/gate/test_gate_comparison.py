@@ -7,7 +7,7 @@ from scipy.stats import binom
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results import statistics
 from deepmf_sumo.results.comparison import change
-from deepmf_sumo.results.gate import comparison
+from deepmf_sumo.results.gate import thresholds
 from deepmf_sumo.results.gate.thresholds import Baseline
 from deepmf_sumo.results.quantities import COMPARABLE
 
@@ -34,7 +34,7 @@ def values_of(name, values):
 
 
 def compared(wanted, new, old):
-    found = comparison.compare(wanted, new, old)
+    found = thresholds.compare(wanted, new, old)
     return [one for one in found if one.state != "not judged"]
 
 
@@ -278,7 +278,7 @@ def test_what_is_shown_is_not_judged():
         [gate_doubles.row(f"s{n}", impact_mps=0.0, ttc_s=ttc) for n in range(20)] for ttc in (5, 1)
     ]
     old, new = (gate_doubles.results_of(side, Path()) for side in rows)
-    found = {one.quantity: one.state for one in comparison.compare(IMPACT, new, old)}
+    found = {one.quantity: one.state for one in thresholds.compare(IMPACT, new, old)}
     assert found == {
         "impact_mps": "within margin", "av_collision_rate": "not judged",
         "finding_rate": "not judged", "ttc_s": "not judged", "min_gap_m": "not judged",

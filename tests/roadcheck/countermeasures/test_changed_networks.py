@@ -10,7 +10,7 @@ import sumolib
 
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import SpecError, UsageError
-from deepmf_sumo.roadcheck import countermeasures
+from deepmf_sumo.roadcheck.countermeasures import building, document
 from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
@@ -43,7 +43,7 @@ def hazards(tmp_path_factory, starts_sumo):
 def built(config, text, folder):
     file = folder / "changes.yaml"
     file.write_text(text)
-    return countermeasures.build(config, countermeasures.load(file), folder / "out")
+    return building.build(config, document.load(file), folder / "out")
 
 
 def net(config, **more):
@@ -155,7 +155,7 @@ def test_files_that_are_wrong_are_refused(tmp_path, text, told):
     file = tmp_path / "changes.yaml"
     file.write_text(text)
     with pytest.raises(SpecError, match=told):
-        countermeasures.load(file)
+        document.load(file)
 
 
 def test_both_sides_are_attacked_at_moments_of_both(tiny, tmp_path, capsys):

@@ -9,8 +9,7 @@ import pytest
 import sumo
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.roadcheck import countermeasures
-from deepmf_sumo.roadcheck.countermeasures import building, signals
+from deepmf_sumo.roadcheck.countermeasures import building, document, signals
 
 from tests.support import crossing_network
 
@@ -30,7 +29,7 @@ def crossing(folder, control):
 def built(config, text=WANTED):
     file = config.parent / "changes.yaml"
     file.write_text(text)
-    return countermeasures.build(config, countermeasures.load(file), config.parent / "out")
+    return building.build(config, document.load(file), config.parent / "out")
 
 
 def runs_of(config, folder):

@@ -3,7 +3,7 @@
 import pytest
 
 from deepmf_sumo.results import run_sets
-from deepmf_sumo.results.gate import comparison as gate
+from deepmf_sumo.results.gate import thresholds
 from deepmf_sumo.results.gate.thresholds import Baseline
 from deepmf_sumo.results.risk import comparison as risk
 from deepmf_sumo.results.stored import result_of
@@ -45,7 +45,7 @@ def test_the_same_difference_interval_and_answer(tmp_path, case, name):
     # 97.5 % at each end are 95 % at both
     wanted = Baseline(quantities=(name,), confidence=0.975)
     [judged] = [
-        one for one in gate.compare(wanted, sides[1], sides[0]) if one.state != "not judged"
+        one for one in thresholds.compare(wanted, sides[1], sides[0]) if one.state != "not judged"
     ]
     # of a number it also counts the pairs: two intervals
     confidence = 0.95 if name.endswith("rate") else 0.9
