@@ -23,7 +23,7 @@ from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import RunError
 from deepmf_sumo.judge.metrics import Episode, measure, measured
 from deepmf_sumo.live.session import LiveAttack, Switch, TimeJump
-from deepmf_sumo.results import artifacts, folder, result, sessions, signals
+from deepmf_sumo.results import artifacts, folder, result, sessions, signals, turns
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import write_tracks
@@ -146,9 +146,9 @@ def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) ->
     )
     spent = [sum(one.reason.milliseconds.values()) for one in rollout.plans if one.reason]
     found_attack = Attack(rollout=rollout, generation_s=sum(spent) / 1000)
-    decisive_part = result.decisive_part(rollout, case)
+    decisive_part = turns.decisive_part(rollout, case)
     episode = Episode(*decisive_part)
-    values, by_turn = measured(episode), result.judged(rollout, case, measure)
+    values, by_turn = measured(episode), turns.judged(rollout, case, measure)
     artifacts.write_unattacked(folder, *decisive_part)
     wall_s = time.perf_counter() - begin
     found = result.finished(task, case, found_attack, values, wall_s, by_turn, episode)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from deepmf_sumo import files
 from deepmf_sumo.judge.avoidability.counterfactual import By, Counterfactual, likeliest, predicted
 from deepmf_sumo.results import signals, stored, tracks
-from deepmf_sumo.results.result import counterfactual_of
 from deepmf_sumo.results.tracks import read_tracks
+from deepmf_sumo.results.turns import counterfactual_of
 from deepmf_sumo.scene import (
     DT_S,
     Case,

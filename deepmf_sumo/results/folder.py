@@ -24,7 +24,7 @@ import deepmf_sumo
 from deepmf_sumo import files, system, tables
 from deepmf_sumo.deepmf.networks.weights import runtime_and_device
 from deepmf_sumo.errors import OutputError, UsageError
-from deepmf_sumo.results import findings, junit, result, statistics, stored
+from deepmf_sumo.results import findings, junit, result, statistics, stored, turns
 from deepmf_sumo.results.quantities import unit, worth
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.spec.profiles import headline
@@ -195,9 +195,9 @@ class Store:
         """Write the tables of all runs, in the order of the tasks."""
         table = tables.to_csv(map(result.row, results), result.COLUMNS, cell=str)
         files.write(self.out / stored.RUNS, table)
-        by_turn = result.table(results)
+        by_turn = turns.table(results)
         if by_turn is not None:
-            files.write(self.out / result.TABLE, by_turn)
+            files.write(self.out / turns.TABLE, by_turn)
         files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
         if junit_too:
             junit.write(self.out / junit.FILE, results)

@@ -4,8 +4,8 @@ All values that differ between two equal runs are under ``timings``.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any, Final, Literal, Required, TypedDict
 
 import numpy as np
@@ -13,14 +13,12 @@ import numpy as np
 from deepmf_sumo import plugins, tables
 from deepmf_sumo.errors import PlannerFault
 from deepmf_sumo.judge.avoidability.counterfactual import (
-    By,
-    Counterfactual,
-    counterfactual,
     unrepeated_m,
 )
 from deepmf_sumo.judge.causes import cause_of
 from deepmf_sumo.judge.ladder import RUNGS, verdict
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, naturalness
+from deepmf_sumo.results.turns import compared_with, decisive_part, hits
 from deepmf_sumo.scene import (
     Attack,
     Case,
@@ -33,94 +31,10 @@ from deepmf_sumo.scene import (
     Rollout,
     Support,
     Trial,
-    Turn,
 )
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.spec import VERSIONS, FromNetwork, profiles
 from deepmf_sumo.spec.tasks import Label, Task
-
-TABLE: Final = "turns.csv"
-_RUN: Final = ("run_id", "spec", "scene", "planner", "adversary", "version", "seed")
-_TURN: Final = ("turn", "opponent", "begin_s", "end_s", "ended", "outcome", "hit_speed_mps")
-
-Measure = Callable[[Rollout, Case], list[MetricValue]]
-
-
-def decisive_part(rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
-    """What a run's numbers are of: the decisive turn, or the episode where one vehicle attacks."""
-    chosen = decisive(rollout.turns)
-    return (rollout, case) if chosen is None else _part(chosen, rollout, case)
-
-
-def judged(rollout: Rollout, case: Case, measure: Measure) -> list[dict[str, Any]] | None:
-    """The attack of each vehicle, measured as a separate attack, as in ``result.json``.
-
-    None where one vehicle attacks.
-    """
-    if case.turns is None and not rollout.turns:
-        return None
-    return [_turn(turn, rollout, case, measure) for turn in rollout.turns]
-
-
-def hits(by_turn: Sequence[dict[str, Any]]) -> int:
-    """In how many turns the opponent hit the AV."""
-    return sum(turn["ended"] == "contact" for turn in by_turn)
-
-
-def table(results: Sequence[Mapping[str, Any]]) -> str | None:
-    """One row per turn of all runs, or None where no run had several attackers."""
-    runs = [one for one in results if one.get("turns") is not None]
-    if not runs:
-        return None
-    metrics = sorted({name for one in runs for turn in one["turns"] for name in turn["metrics"]})
-    rows = [
-        {
-            **{key: one.get(key) for key in _RUN},
-            **{key: {**turn, "turn": number}[key] for key in _TURN},
-            **{name: turn["metrics"].get(name) for name in metrics},
-        }
-        for one in runs
-        for number, turn in enumerate(one["turns"], start=1)
-    ]
-    return tables.to_csv(rows, [*_RUN, *_TURN, *metrics])
-
-
-def _part(turn: Turn, rollout: Rollout, case: Case) -> tuple[Rollout, Case]:
-    """The turn, and the case with its longest duration: at most to the episode's end."""
-    steps = rollout.now + case.duration_steps - turn.first_step
-    if case.turns is not None:
-        steps = min(steps, round(case.turns.longest_s / rollout.dt_s))
-    return rollout.of_turn(turn), replace(case, duration_steps=steps)
-
-
-def counterfactual_of(rollout: Rollout, case: Case) -> Counterfactual | None:
-    """Where the opponent would have been without the attack; None where no vehicle attacked."""
-    opponent = rollout.opponent_id
-    if opponent is None or opponent not in rollout.tracks.ids:
-        return None
-    return counterfactual(rollout, case, opponent)
-
-
-def _compared_with(rollout: Rollout, case: Case) -> By | None:
-    alone = counterfactual_of(rollout, case)
-    return alone.by if alone is not None else None
-
-
-def _turn(turn: Turn, rollout: Rollout, case: Case, measure: Measure) -> dict[str, Any]:
-    cut, its_case = _part(turn, rollout, case)
-    hit = cut.first("av_opponent")
-    return {
-        "opponent": turn.opponent_id,
-        "begin_s": round((turn.first_step - rollout.now) * rollout.dt_s, 3),
-        "end_s": round((turn.last_step - rollout.now) * rollout.dt_s, 3),
-        "ended": turn.ended,
-        "outcome": cut.outcome,
-        "hit_speed_mps": hit.relative_mps if hit else None,
-        "counterfactual": _compared_with(cut, its_case),
-        "metrics": {value.name: value.value for value in measure(cut, its_case)},
-    }
-
 
 Status = Literal["ok", "failed", "timeout", "skipped"]
 
@@ -355,7 +269,7 @@ def finished(
         "steps": rollout.tracks.steps - 1 - rollout.now,
         "duration_steps": case.duration_steps,
         "opponent": rollout.opponent_id,
-        "counterfactual": _compared_with(*decisive),
+        "counterfactual": compared_with(*decisive),
         "opponent_score": _opponent_score(decisive[0], task.spec.adversary.settings),
         "contacts": [_contact(contact, rollout) for contact in rollout.contacts],
         "events": [*map(asdict, rollout.events), *_unrepeated(rollout, case)],

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from deepmf_sumo import spec
-from deepmf_sumo.results import result
+from deepmf_sumo.results import result, turns
 from deepmf_sumo.scene import Attack, MetricValue, Turn, TurnRules
 from deepmf_sumo.spec.tasks import Task
 
@@ -49,20 +49,20 @@ def measure(rollout, case):
 
 
 def test_each_turn_is_measured_by_itself(rollout, case):
-    first, second = result.judged(rollout, case, measure)
+    first, second = turns.judged(rollout, case, measure)
     assert first["metrics"] == {"now": 10, "time": 50, "last": 50, "none": None}
     assert second["metrics"] == {"now": 60, "time": 30, "last": 70, "none": None}
     assert (first["begin_s"], first["end_s"], first["ended"]) == (0.0, 4.0, "harmless")
     assert (second["outcome"], second["hit_speed_mps"]) == ("av_opponent", 4.5)
     assert (first["outcome"], first["hit_speed_mps"]) == ("none", None)
     alone = replace(rollout, turns=())
-    assert result.judged(alone, replace(case, turns=None), measure) is None
+    assert turns.judged(alone, replace(case, turns=None), measure) is None
 
 
 def test_the_run_has_the_numbers_of_the_decisive_turn(rollout, case, task):
-    cut, its_case = result.decisive_part(rollout, case)
+    cut, its_case = turns.decisive_part(rollout, case)
     assert (cut.opponent_id, cut.now, its_case.duration_steps) == ("c", 60, 30)
-    by_turn = result.judged(rollout, case, measure)
+    by_turn = turns.judged(rollout, case, measure)
     metrics = measure(cut, its_case)
     found = result.finished(task, case, Attack(rollout=rollout), metrics, 0.0, by_turn)
     row = result.row(found)
@@ -74,22 +74,22 @@ def test_the_run_has_the_numbers_of_the_decisive_turn(rollout, case, task):
 
 def test_without_any_turn_the_episode_itself_is_measured(rollout, case):
     nobody = replace(rollout, turns=(), attackers=())
-    assert result.decisive_part(nobody, case) == (nobody, case)
-    assert result.judged(nobody, case, measure) == []
+    assert turns.decisive_part(nobody, case) == (nobody, case)
+    assert turns.judged(nobody, case, measure) == []
 
 
 def test_table_has_a_row_a_turn(rollout, case, task):
     found = result.finished(
-        task, case, Attack(rollout=rollout), [], 0.0, result.judged(rollout, case, measure)
+        task, case, Attack(rollout=rollout), [], 0.0, turns.judged(rollout, case, measure)
     )
     other = result.unfinished(task, "failed", "no reason")
-    rows = list(csv.DictReader(io.StringIO(result.table([other, found]))))
+    rows = list(csv.DictReader(io.StringIO(turns.table([other, found]))))
     assert [(row["turn"], row["opponent"], row["now"], row["none"]) for row in rows] == [
         ("1", "b", "10", ""),
         ("2", "c", "60", ""),
     ]
     assert {row["run_id"] for row in rows} == {"several--tiny--0"}
-    assert result.table([other]) is None
+    assert turns.table([other]) is None
 
 
 def test_results_of_one_opponent_say_nothing_of_turns(rollout, case, task):

@@ -35,7 +35,7 @@ from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.metrics.av_rules import MONITORS
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
-from deepmf_sumo.results import artifacts, result, signals
+from deepmf_sumo.results import artifacts, result, signals, turns
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.scene import (
@@ -175,10 +175,10 @@ class TaskRunner:
         case, plain = _with_unattacked(task, made)
         attack = attack_case(task, case, gui=self.gui)
         rollout = attack.rollout
-        decisive = result.decisive_part(rollout, case)
+        decisive = turns.decisive_part(rollout, case)
         decided = metrics.Episode(*decisive)
         measured = metrics.measured(decided)
-        by_turn = result.judged(rollout, case, metrics.measure)
+        by_turn = turns.judged(rollout, case, metrics.measure)
         write_tracks(folder / "tracks.csv.gz", rollout)
         artifacts.write_plans(folder / "plans.npz", rollout)
         artifacts.write_unattacked(folder, *decisive)
