@@ -4,26 +4,29 @@ Who they are and where they stand is drawn with the seed of the run. Somebody at
 come there, is in nobody's way without an attack, and can get to the AV's way before the AV is past.
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import shapely
 
-from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import DT_S, AgentId, Floats, MadePlace, MadeRoadUser, Rollout, TrafficCase
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.spec import GivenPerson, PersonPlace, WantedPeople
-from deepmf_sumo.study.moments.roadside import GAP_M, Roadside, Side
-from deepmf_sumo.sumo.network.sumo_net import elements, number
+from deepmf_sumo.study.moments.roadside import (
+    GAP_M,
+    Roadside,
+    Side,
+    bus_stops,
+    crossings,
+    parked,
+    stop_lines,
+)
 from deepmf_sumo.sumo.simulation.made_people import without_attack
 from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS
-from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
 _IN_TIME_S: Final = (1.5, 7.0)
 """When the AV comes by: sooner nobody gets onto its way, later the attack is over."""
@@ -37,7 +40,6 @@ _AHEAD_M: Final = (6.0, 40.0)
 """Of the AV, where cyclists are."""
 _NEAR_KERB_M: Final = 0.5
 _TRIES: Final = 40
-_STANDS_MPS: Final = 0.3
 _QUEUE_GAP_M: Final = (1.0, 8.0)
 _STRAIGHT_M: Final = 0.5
 """A kerb whose distance from the way changes by more within a metre ends there."""
@@ -295,10 +297,10 @@ def _crossing(
     here: Roadside, case: TrafficCase, rng: np.random.Generator
 ) -> tuple[list[_Candidate], str]:
     """Somebody at an end of a pedestrian crossing, or beside a stop line where there is none."""
-    found = [one for line in _crossings(here) for one in _at_ends(line, here, rng)]
+    found = [one for line in crossings(here) for one in _at_ends(line, here, rng)]
     if not found:
         kept = here.kept(_HALF_M)
-        ends = _stop_lines(here)
+        ends = stop_lines(here)
         for side in (-1, 1) if ends else ():
             exits_m = here.exits_m(kept, side)
             gap_m = float(rng.uniform(0.0, GAP_M[1] - GAP_M[0]))
@@ -309,15 +311,6 @@ def _crossing(
             ]
     del case
     return _beside_road(found, here), "the AV comes to no crossing and no traffic light"
-
-
-def _crossings(here: Roadside) -> Iterator[Floats]:
-    """(P, 2) lines of the crossings that the way crosses."""
-    way = shapely.LineString(here.way_m)
-    for edge in here.net.edges.values():
-        for lane in edge.lanes if edge.function == "crossing" else ():
-            if len(lane.shape_m) > 1 and shapely.LineString(lane.shape_m[:, :2]).intersects(way):
-                yield lane.shape_m[:, :2]
 
 
 def _at_ends(line: Floats, here: Roadside, rng: np.random.Generator) -> Iterator[_Candidate]:
@@ -336,18 +329,6 @@ def _at_ends(line: Floats, here: Roadside, rng: np.random.Generator) -> Iterator
             )
 
 
-def _stop_lines(here: Roadside) -> list[int]:
-    """Points of the way a metre before the traffic lights on it."""
-    lights = {link.origin for link in here.net.links if link.light}
-    found = set()
-    for _, lane in here.lanes_near:
-        if lane.id in lights:
-            at, away_m = here.reached(lane.shape_m[-1, :2])
-            if away_m < lane.width_m / 2 and at > 1:
-                found.add(at - 1)
-    return sorted(found)
-
-
 def _stop(
     here: Roadside, case: TrafficCase, rng: np.random.Generator
 ) -> tuple[list[_Candidate], str]:
@@ -355,7 +336,7 @@ def _stop(
     kept = here.kept(_HALF_M)
     exits_m = here.exits_m(kept, here.outer)
     found = []
-    for place in _bus_stops(here, case):
+    for place in bus_stops(here, case):
         at, away_m = here.reached(place)
         side_m = float((place - here.way_m[at]) @ here.normal[at]) * here.outer
         if away_m < _STOP_REACH_M and side_m > -1.0 and not np.isnan(exits_m[at]):
@@ -364,31 +345,6 @@ def _stop(
     return _beside_road(
         found, here
     ), "the AV comes to no bus stop of the network's additional files"
-
-
-def _bus_stops(here: Roadside, case: TrafficCase) -> Iterator[Floats]:
-    """(2,) places along the stops beside the lanes near the way, two metres apart."""
-    lanes = {lane.id: lane for _, lane in here.lanes_near}
-    for file in read_configuration(case.config, case.sumo_options).additional:
-        for element in _stop_elements(file):
-            lane = lanes.get(element.get("lane", ""))
-            if lane is None:
-                continue
-            try:
-                begin = number(element, "startPos", 0.0)
-                end = number(element, "endPos", lane.length_m)
-            except ValueError:  # SUMO has read it, so it is a word that SUMO knows
-                continue
-            begin, end = (one + lane.length_m * (one < 0) for one in (begin, end))
-            along = np.arange(begin + 1.0, max(end, begin + 1.5), 2.0)
-            yield from polylines.points_at(lane.shape_m[:, :2], along)[0]
-
-
-def _stop_elements(file: Path) -> list[ET.Element]:
-    try:
-        return [one for one in elements(file, "additional") if one.tag in ("busStop", "trainStop")]
-    except SimulationError:  # SUMO reads additional files of kinds that are no plain XML
-        return []
 
 
 def _beside_vehicles(
@@ -405,40 +361,6 @@ def _beside_vehicles(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Parked:
-    """A vehicle that stands beside the way: its ends along it, and how far to its left it is."""
-
-    first_m: float
-    last_m: float
-    left_m: float
-
-    @property
-    def side(self) -> Side:
-        return 1 if self.left_m > 0 else -1
-
-
-def _parked(here: Roadside) -> list[_Parked]:
-    """Vehicles that stand beside the way until the AV has come by."""
-    tracks, found = here.tracks, []
-    half_m = float(tracks.size_m[here.av, 1]) / 2
-    for row in range(tracks.agents):
-        if row == here.av or tracks.kinds[row] not in ("vehicle", "other"):
-            continue
-        if not tracks.valid[row, : here.now + 1].all():
-            continue
-        place = tracks.position_m[row, here.now]
-        at, away_m = here.reached(place)
-        arrives = here.now + int(max(here.arrives_s[at], 0.0) / DT_S)
-        stands = tracks.speed_mps[row, : arrives + 1].max() < _STANDS_MPS
-        left_m = float((place - here.way_m[at]) @ here.normal[at])
-        clear_m = half_m + float(tracks.size_m[row, 1]) / 2
-        if stands and away_m < 8.0 and abs(left_m) > clear_m and at > 0:
-            half = float(tracks.size_m[row, 0]) / 2
-            found.append(_Parked(first_m=at - half, last_m=at + half, left_m=left_m))
-    return sorted(found, key=lambda one: one.first_m)
-
-
 def _behind_vehicle(
     here: Roadside,
     case: TrafficCase,  # noqa: ARG001
@@ -446,7 +368,7 @@ def _behind_vehicle(
 ) -> tuple[list[_Candidate], str]:
     """Somebody beyond a vehicle that stands, seen from the AV."""
     ends = []
-    for one in _parked(here):
+    for one in parked(here):
         at = round(one.last_m + _HALF_M + _ROOM_M + 0.2)
         if at < len(here.way_m):
             ends.append((at, one.side, max(abs(one.left_m) - 0.5, 0.0)))
@@ -460,9 +382,9 @@ def _queue(
     rng: np.random.Generator,
 ) -> tuple[list[_Candidate], str]:
     """Somebody beside the gap between two vehicles that stand one behind the other."""
-    parked, ends = _parked(here), []
-    for one in parked:
-        for other in parked:
+    standing, ends = parked(here), []
+    for one in standing:
+        for other in standing:
             gap_m = other.first_m - one.last_m
             in_line = abs(one.left_m - other.left_m) < 1.0
             if in_line and _QUEUE_GAP_M[0] <= gap_m <= _QUEUE_GAP_M[1]:

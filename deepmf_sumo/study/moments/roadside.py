@@ -1,18 +1,30 @@
-"""What is beside the way of an AV: where its carriageway ends, and when it comes by."""
+"""What is beside the way of an AV, and when it comes by: borders, stops, crossings, vehicles."""
 
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from deepmf_sumo.scene import DT_S, AgentId, Bools, Floats, Rollout, Tracks, TrafficCase
+from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.scene import (
+    DT_S,
+    AgentId,
+    Bools,
+    Floats,
+    Rollout,
+    Tracks,
+    TrafficCase,
+)
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.sumo.network.carriageway import carriageway_of, driven_on
-from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane, read_once
+from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane, elements, number, read_once
+from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
 Side = Literal[-1, 1]
 """1: left of the way, -1: right."""
@@ -30,6 +42,7 @@ _CLEAR_M: Final = 0.3
 _NOBODY_WALKS: Final = ("motorway", "trunk")
 _FASTEST_MPS: Final = 25.0
 _TYPE_REACH_M: Final = 3.0
+_STANDS_MPS: Final = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,8 +164,8 @@ class Roadside:
         found = np.ones(len(self.way_m), bool)
         points = shapely.points(self.way_m)
         rows, nearest = tree.query_nearest(points, max_distance=_TYPE_REACH_M, all_matches=False)
-        for row, number in zip(rows.tolist(), nearest.tolist(), strict=True):
-            edge, lane = lanes[number]
+        for row, one in zip(rows.tolist(), nearest.tolist(), strict=True):
+            edge, lane = lanes[one]
             kind = edge.type.lower()
             found[row] = (
                 not any(word in kind for word in _NOBODY_WALKS) and lane.speed_mps <= _FASTEST_MPS
@@ -195,3 +208,83 @@ class Roadside:
         )
         apart = [np.hypot(*(one[:, :2] - poses[:, :2]).T).min() for one in others.values()]
         return not bool(np.any(hit)) and all(one > 2.0 for one in apart)
+
+
+def crossings(here: Roadside) -> Iterator[Floats]:
+    """(P, 2) lines of the crossings that the way crosses."""
+    way = shapely.LineString(here.way_m)
+    for edge in here.net.edges.values():
+        for lane in edge.lanes if edge.function == "crossing" else ():
+            if len(lane.shape_m) > 1 and shapely.LineString(lane.shape_m[:, :2]).intersects(way):
+                yield lane.shape_m[:, :2]
+
+
+def stop_lines(here: Roadside) -> list[int]:
+    """Points of the way a metre before the traffic lights on it."""
+    lights = {link.origin for link in here.net.links if link.light}
+    found = set()
+    for _, lane in here.lanes_near:
+        if lane.id in lights:
+            at, away_m = here.reached(lane.shape_m[-1, :2])
+            if away_m < lane.width_m / 2 and at > 1:
+                found.add(at - 1)
+    return sorted(found)
+
+
+def bus_stops(here: Roadside, case: TrafficCase) -> Iterator[Floats]:
+    """(2,) places along the stops beside the lanes near the way, two metres apart."""
+    lanes = {lane.id: lane for _, lane in here.lanes_near}
+    for file in read_configuration(case.config, case.sumo_options).additional:
+        for element in _stop_elements(file):
+            lane = lanes.get(element.get("lane", ""))
+            if lane is None:
+                continue
+            try:
+                begin = number(element, "startPos", 0.0)
+                end = number(element, "endPos", lane.length_m)
+            except ValueError:  # SUMO has read it, so it is a word that SUMO knows
+                continue
+            begin, end = (one + lane.length_m * (one < 0) for one in (begin, end))
+            along = np.arange(begin + 1.0, max(end, begin + 1.5), 2.0)
+            yield from polylines.points_at(lane.shape_m[:, :2], along)[0]
+
+
+def _stop_elements(file: Path) -> list[ET.Element]:
+    try:
+        return [one for one in elements(file, "additional") if one.tag in ("busStop", "trainStop")]
+    except SimulationError:  # SUMO reads additional files of kinds that are no plain XML
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class _Parked:
+    """A vehicle that stands beside the way: its ends along it, and how far to its left it is."""
+
+    first_m: float
+    last_m: float
+    left_m: float
+
+    @property
+    def side(self) -> Side:
+        return 1 if self.left_m > 0 else -1
+
+
+def parked(here: Roadside) -> list[_Parked]:
+    """Vehicles that stand beside the way until the AV has come by."""
+    tracks, found = here.tracks, []
+    half_m = float(tracks.size_m[here.av, 1]) / 2
+    for row in range(tracks.agents):
+        if row == here.av or tracks.kinds[row] not in ("vehicle", "other"):
+            continue
+        if not tracks.valid[row, : here.now + 1].all():
+            continue
+        place = tracks.position_m[row, here.now]
+        at, away_m = here.reached(place)
+        arrives = here.now + int(max(here.arrives_s[at], 0.0) / DT_S)
+        stands = tracks.speed_mps[row, : arrives + 1].max() < _STANDS_MPS
+        left_m = float((place - here.way_m[at]) @ here.normal[at])
+        clear_m = half_m + float(tracks.size_m[row, 1]) / 2
+        if stands and away_m < 8.0 and abs(left_m) > clear_m and at > 0:
+            half = float(tracks.size_m[row, 0]) / 2
+            found.append(_Parked(first_m=at - half, last_m=at + half, left_m=left_m))
+    return sorted(found, key=lambda one: one.first_m)
