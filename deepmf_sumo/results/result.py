@@ -515,11 +515,8 @@ def _samples(rollout: Rollout, case: Case) -> dict[str, Any] | None:
 
 def values_of(metrics: Iterable[MetricValue]) -> dict[str, Any]:
     """Metrics by name, as in ``result.json``."""
-    return {value.name: _metric(value) for value in metrics}
-
-
-def _metric(value: MetricValue) -> Any:
-    return {key: part for key, part in asdict(value).items() if key != "name"}
+    values = {value.name: asdict(value) for value in metrics}
+    return {name: {key: one[key] for key in one if key != "name"} for name, one in values.items()}
 
 
 def _report(case: Case) -> ConversionReport | None:
