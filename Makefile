@@ -45,8 +45,18 @@ COUNT ?= 2000
 fuzz: $(READY)  ## inputs changed at random (KIND= of one kind, COUNT= of each, SEED=): none may do harm
 	$(PY) -m tests.fuzz --count $(COUNT) --seed $(or $(SEED),1) $(KIND)
 
-signals: $(READY)  ## sweeps ended by SIGKILL, SIGTERM and SIGINT at random moments (COUNT= of each, SEED=)
-	$(PY) -m tests.fuzz.signals --count $(if $(filter command line,$(origin COUNT)),$(COUNT),50) --seed $(or $(SEED),1)
+signals: $(READY)  ## long commands ended by SIGKILL, SIGTERM and SIGINT at random moments (COMMANDS=, COUNT= of each, SEED=)
+	$(PY) -m tests.fuzz.signals --count $(if $(filter command line,$(origin COUNT)),$(COUNT),10) --seed $(or $(SEED),1) $(COMMANDS)
+
+release: $(READY)  ## build wheels, source archive and lists of packages in dist/, and try them on each Python that is found
+	$(PY) -m pip install --quiet --group release
+	$(PY) -m tests.release
+
+LOCK := .github/requirements-ci.txt
+lock: $(READY)  ## choose anew what continuous integration installs
+	$(PY) -m pip install --quiet --group release
+	$(VENV)/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	    --custom-compile-command "make lock" --group dev -c constraints.txt -o $(LOCK) pyproject.toml
 
 lint: $(READY)  ## ruff, formatting, import contracts, unused dependencies, left conflict markers
 	! git grep -nE '^(<{7}|>{7}) '
@@ -155,4 +165,4 @@ gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
 	$(PY) -m tests.docs.front_page
 
-.PHONY: help setup run quick test tests lint-and-types test-slow golden fuzz signals lint types types-elsewhere protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery
+.PHONY: help setup run quick test tests lint-and-types test-slow golden fuzz signals release lock lint types types-elsewhere protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery

@@ -13,6 +13,7 @@ import libsumo
 import pytest
 import sumo
 import yaml
+from packaging.requirements import Requirement
 
 import deepmf_sumo
 
@@ -50,6 +51,48 @@ def test_the_citation_names_this_version_and_the_paper():
     [paper] = found["references"]
     assert {"type", "title", "authors"} <= set(paper)
     assert paper["url"].endswith("2412.17487")
+
+
+def parts_of_the_changelog():
+    text = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    return re.findall(r"^## (\S+)", text, re.MULTILINE)
+
+
+def test_the_changelog_begins_with_this_version():
+    parts = parts_of_the_changelog()
+    assert parts[0] == deepmf_sumo.__version__
+    assert len(set(parts)) == len(parts)
+
+
+@pytest.mark.sumo
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no Git history")
+def test_tags_are_versions_of_the_changelog_and_that_of_this_commit_is_this_version():
+    def tags(*which):
+        command = ["git", "-C", str(ROOT), "tag", *which]
+        names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+        return {name for name in names if re.fullmatch(r"v\d+\.\d+\.\d+", name)}
+
+    assert {name.removeprefix("v") for name in tags()} <= set(parts_of_the_changelog())
+    assert tags("--points-at", "HEAD") <= {f"v{deepmf_sumo.__version__}"}
+
+
+def test_what_continuous_integration_installs_is_locked_and_fits_what_is_asked_for():
+    text = (ROOT / ".github" / "requirements-ci.txt").read_text("utf-8")
+    locked = {}
+    for block in re.split(r"\n(?=[a-z0-9])", text):
+        if found := re.match(r"([a-z0-9][a-z0-9.-]*)==([^ ;]+)", block):
+            assert "--hash=sha256:" in block
+            locked.setdefault(found[1], set()).add(found[2])
+    assert "://" not in text  # where the files come from is each machine's own affair
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["dependency-groups"]
+    for line in (*PROJECT["dependencies"], *groups["dev"]):
+        wanted = Requirement(line)
+        versions = locked[wanted.name.lower().replace("_", "-")]
+        assert all(wanted.specifier.contains(one) for one in versions), line
+    for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines():
+        name, _, version = line.partition("==")
+        if version and not line.startswith("#"):
+            assert locked[name] == {version}
 
 
 def test_python_of_classifiers_image_and_action_are_those_that_are_required():

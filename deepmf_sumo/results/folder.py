@@ -186,6 +186,11 @@ class Store:
         }
         files.write_json(self.out / stored.MANIFEST, manifest)
 
+    def forget_begun(self) -> None:
+        """Remove what runs have left that were ended before they were complete."""
+        for left in self.runs.glob(".*.partial"):
+            remove(left)
+
     def forget_views(self) -> None:
         """Remove the map and the page of earlier runs: they would not show the new ones."""
         forget_map(self.out / RISK)
@@ -265,8 +270,7 @@ def _emptied(out: Path, *, resume: bool) -> None:
         for name in MADE:
             forget_map(out / name) if name == RISK else remove(out / name)
     (out / "runs").mkdir(exist_ok=True)
-    for left in (out / "runs").glob(".*.partial"):  # of a batch that was killed
-        remove(left)
+    Store(out).forget_begun()
     files.write(out / "runs" / ".writable", "")
     (out / "runs" / ".writable").unlink()
 

@@ -1,12 +1,13 @@
 """Conversion of many scenes: one folder per scene, and a table of the results."""
 
 import csv
+import glob
 import io
-import multiprocessing
 import re
+import shutil
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.scene import Scene
 from deepmf_sumo.sumo.network.conversion import convert
 from deepmf_sumo.texts import cell
+from deepmf_sumo.training import processes
 
 TABLE: Final = "convert.csv"
 _AHEAD: Final = 2
@@ -106,9 +108,7 @@ def _rows(
         for scene, folder in folders:
             yield _row(scene, folder) if isinstance(scene, Scene) else _refusal(scene)
         return
-    # Spawned, not forked: the parent may run threads.
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+    with processes.pool(jobs) as pool:
         waiting: deque[tuple[str, Future[ConvertedScene] | ConvertedScene]] = deque()
         for scene, folder in folders:
             if isinstance(scene, Scene):
@@ -153,7 +153,9 @@ def _refusal(refused: RefusedRecord) -> ConvertedScene:
 
 
 def _row(scene: Scene, folder: Path) -> ConvertedScene:
-    """Convert one scene."""
+    """Convert one scene; what a killed command has begun of its folder is removed."""
+    for left in folder.parent.glob(f".{glob.escape(folder.name)}-{'?' * 8}"):
+        shutil.rmtree(left, ignore_errors=True)
     try:
         net = convert(scene, folder)
     except DeepmfError as error:

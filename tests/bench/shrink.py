@@ -69,7 +69,7 @@ def _row(hit: Run, out: Path, simulations: int) -> tuple[shrink.Shrunk, bool] | 
     took = time.perf_counter() - begin
     print(
         f"{hit.run_id}: {shrink.summary(found)}; {'the same again' if same else 'NOT THE SAME'};"
-        f" {found.simulations} simulations{'' if found.finished else ' (all)'}, {took:.0f} s",
+        f" {found.simulations} simulations ({found.end}), {took:.0f} s",
         flush=True,
     )
     return found, same

@@ -11,7 +11,7 @@ from deepmf_sumo.report import evidence
 from deepmf_sumo.report.page.document import map_page
 from deepmf_sumo.report.risk import gis, sumo_files
 from deepmf_sumo.results import risk, stored
-from deepmf_sumo.results.folder import RISK, forget_map, map_folders
+from deepmf_sumo.results.folder import RISK, RISK_FILES, forget_map, map_folders
 from deepmf_sumo.results.risk import Network, PlaceRow
 
 TABLE, PAGE, EDGES, MOVEMENTS = "risk.csv", "risk.html", "edges.xml", "movements.xml"
@@ -72,8 +72,16 @@ def _check_place(out: Path) -> None:
         return
     if any((folder / PAGE).is_file() for folder in map_folders(out)) or not out.exists():
         return
-    others = [path.name for path in out.iterdir() if not path.name.startswith(".")]
-    if others:
+    maps = map_folders(out)
+    others = [
+        path.name
+        for folder in maps
+        for path in folder.iterdir()
+        if not path.name.startswith(".") and path not in maps
+    ]
+    # a command that was killed has left a part of a map, which begins with its table
+    begun = any((folder / TABLE).is_file() for folder in maps) and RISK_FILES.issuperset(others)
+    if others and not begun:
         raise OutputError(f"{out} holds '{min(others)}'; choose an empty folder for --out.")
 
 
@@ -81,9 +89,10 @@ def _write(folder: Path, network: Network, title: str, forms: Sequence[gis.Form]
     folder.mkdir(parents=True, exist_ok=True)
     rows = risk.rows(network)
     mapped = gis.written(network, rows, forms)
+    files.remove_parts(folder)
+    files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
     net = "".join(["net.net.xml", ".gz" * (network.net_file.suffix == ".gz")])
     files.copy(network.net_file, folder / net)
-    files.write(folder / TABLE, tables.to_csv([risk.columns(row) for row in rows]))
     files.write(folder / CONFLICTS, tables.to_csv([asdict(one) for one in risk.conflicts(network)]))
     by_type = [asdict(one) for one in risk.by_type(network.attacks)]
     files.write(folder / TYPES, tables.to_csv(by_type))

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -184,6 +184,7 @@ def _hardest(found: tracks.RecordedTracks, agent: str, contact: int) -> float:
     return float(np.hypot(*second.T).max() / (_SPAN * DT_S) ** 2)
 
 
+SearchEnd = Literal["nothing helps", "budget", "interrupted"]
 SIMULATIONS: Final = 60
 _LEAST_STEPS: Final = 10
 """From begin to contact: a shorter one would be no task for a planner."""
@@ -209,7 +210,7 @@ class Shrunk:
         failure: what it comes from. first: the run with a fixed trajectory, nothing made smaller.
         best: the smallest that fails in the same way.
         simulations: all that were done, the last check included.
-        finished: nothing more helps; False: the budget ended the search.
+        end: what ended the search.
         kept: what was left as it is, and why; empty where all could be tried.
     """
 
@@ -217,7 +218,7 @@ class Shrunk:
     first: CandidateTrial
     best: CandidateTrial
     simulations: int
-    finished: bool
+    end: SearchEnd
     kept: str = ""
 
     def changes(self) -> tuple[int, int]:
@@ -240,6 +241,9 @@ def shrink(
 ) -> Shrunk:
     """Find the smallest reproducer of a failure, and check it in a new process.
 
+    An interrupt ends the search: the smallest so far is checked and returned; a second one, and one
+    before the hit was repeated, is passed on.
+
     ``simulations``: maximum number, at least 3. ``report`` hears of each step that helped.
 
     Raises RunError where the run does not fail again with the recorded path, or a reproducer does
@@ -247,7 +251,7 @@ def shrink(
     """
     with closing(Simulator()) as simulator:
         search = _Shrinking(failure, simulator, max(simulations, 3) - 1, report)
-        finished = search.run()
+        end = search.run()
         best = search.best
         simulator.renew()
         again = trial(simulator, failure, best.candidate, best.values)
@@ -261,7 +265,7 @@ def shrink(
             first=search.first,
             best=best,
             simulations=simulator.done,
-            finished=finished,
+            end=end,
             kept=search.kept,
         )
 
@@ -286,8 +290,8 @@ class _Shrinking:
         self.kept = ""
         self.first = self.best = self._repeated()
 
-    def run(self) -> bool:
-        """Make it smaller until nothing more helps; False where the budget ended that."""
+    def run(self) -> SearchEnd:
+        """Make it smaller until nothing more helps, the budget is spent, or an interrupt comes."""
         try:
             self._learn_undisturbed()
             helped = True
@@ -295,8 +299,10 @@ class _Shrinking:
                 steps = (self._later, self._fewer_road_users, self._fewer_plans, self._milder)
                 helped = sum(step() for step in steps) > 0  # each of them, in turn
         except _Spent:
-            return False
-        return True
+            return "budget"
+        except KeyboardInterrupt:
+            return "interrupted"
+        return "nothing helps"
 
     def _repeated(self) -> CandidateTrial:
         """The run with the recorded path, from its start, or from the opponent's turn."""

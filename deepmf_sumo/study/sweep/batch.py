@@ -384,6 +384,7 @@ def fill(
         interrupted = len(found) < len(planned) + known.left
     finally:
         endings.close()
+        store.forget_begun()
         found |= _unheard(store, [task for task in left if task.run_id not in found])
         results = [found[task.run_id] for task in planned if task.run_id in found]
         expects = any(task.spec.expect != Expect() for task in planned)

@@ -203,9 +203,11 @@ def record_all(wanted: Wanted, out: Path, jobs: int) -> Iterator[Recorded]:
             yield _recorded(task)
     missing = [task for task in tasks if not task.out.is_dir()]
     limit_s = _START_LIMIT_S + _SCENE_LIMIT_S * wanted.scenes
-    if missing:
+    try:
         for end in workers.run(record_network, missing, jobs=jobs, timeout_s=limit_s):
             yield _recorded(missing[end.index], end.reason)
+    finally:  # workers that are ended in the middle of a network cannot do so
+        _remove_begun(out)
 
 
 def record_network(task: RecordingTask) -> None:
@@ -286,10 +288,14 @@ def _claim(wanted: Wanted, out: Path) -> None:
         if not note.is_file() and any(out.iterdir()):
             raise UsageError(f"'{out}' is not empty; remove it, or give another folder.")
         files.write(note, described)
-        for left in out.glob(".*-*"):
-            shutil.rmtree(left, ignore_errors=True)
+        _remove_begun(out)
     except OSError as error:
         raise OutputError(f"'{out}' cannot be written: {error.strerror}.") from None
+
+
+def _remove_begun(out: Path) -> None:
+    for left in out.glob(".*-*"):
+        shutil.rmtree(left, ignore_errors=True)
 
 
 def _recorded(task: RecordingTask, reason: str = "") -> Recorded:

@@ -7,12 +7,10 @@ processes.
 
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -26,6 +24,7 @@ from deepmf_sumo.errors import OutputError, ReaderError, RunError
 from deepmf_sumo.files import inside, opened
 from deepmf_sumo.scene import Scene, readers
 from deepmf_sumo.scene.readers.base import Refusal
+from deepmf_sumo.training import processes
 from deepmf_sumo.training.samples.dataset import Arrays, Progress, SampleSource
 from deepmf_sumo.training.samples.places import SceneArea, area_of
 
@@ -214,8 +213,7 @@ def _each(
     if jobs == 1 or len(pairs) < 2:
         yield from map(work, pairs)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(pairs)), mp_context=context) as pool:
+    with processes.pool(min(jobs, len(pairs))) as pool:
         try:
             yield from pool.map(work, pairs)
         except BrokenProcessPool:
@@ -223,9 +221,6 @@ def _each(
                 "A process that computes features was killed, perhaps for lack of memory; repeat"
                 " the command with fewer --jobs."
             ) from None
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
 
 
 def _write_shard(features: Features, pair: tuple[Path, Path]) -> None:

@@ -114,7 +114,7 @@ def test_nothing_gets_larger_and_the_budget_is_kept(hit):
     failure = shrink.read(hit)
     found = shrink.shrink(failure, 5)
     assert found.simulations == 5
-    assert not found.finished
+    assert found.end == "budget"
     assert found.best.hit
     assert found.best.steps <= failure.contact
     assert found.best.road_users <= 2 + len(failure.others)

@@ -96,6 +96,7 @@ def test_interrupt_keeps_what_is_finished_and_resumes(tiny, tmp_path):
         batch.run(specs, options, interrupt)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["runs"], summary["interrupted"]) == (1, True)
+    assert not list((tmp_path / "out" / "runs").glob(".*"))  # nothing of the runs that had begun
     seen = []
     batch.run(specs, options, seen.append)
     assert (seen[0].kept, seen[-1].done) == (1, 3)
