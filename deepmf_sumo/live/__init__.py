@@ -13,9 +13,13 @@ Why it is as it is:
 The room is optional: only commands, and the public name ``Attacker``, import it.
 """
 
-from deepmf_sumo.live.attacker import Attached, Attacker, AttackRequest, attach, prepare
-from deepmf_sumo.live.server import SumoServer
-from deepmf_sumo.live.status import StatusServer
+import importlib
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from deepmf_sumo.live.attacker import Attached, Attacker, AttackRequest, attach, prepare
+    from deepmf_sumo.live.server import SumoServer
+    from deepmf_sumo.live.status import StatusServer
 
 __all__ = [
     "Attached",
@@ -26,3 +30,13 @@ __all__ = [
     "attach",
     "prepare",
 ]
+
+_PLACES: Final = {"SumoServer": "server", "StatusServer": "status"}
+
+
+def __getattr__(name: str) -> Any:
+    """A name of the room, imported on first use: the process of the relay needs none of them."""
+    if name not in __all__:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module = importlib.import_module(f"{__name__}.{_PLACES.get(name, 'attacker')}")
+    return getattr(module, name)

@@ -29,13 +29,11 @@ import math
 import operator
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from statistics import fmean
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import betainc, betaln, expit
 
 from deepmf_sumo.scene import Floats
 
@@ -283,6 +281,8 @@ def _quantile(values: Floats, weights: Floats, level: float) -> float:
     if high - low <= 1e-12 * max(abs(low), abs(high)):
         return high
 
+    from scipy.optimize import brentq  # 0.4 s that a live session does not need
+
     def excess(at: float) -> float:
         return _below(values - at, weights) - level
 
@@ -330,10 +330,6 @@ def _saddle(values: Floats, weights: Floats) -> float:
 
 
 PLACE_CONFIDENCE: Final = 0.9
-_MEANS: Final = expit(np.linspace(-7.0, 7.0, 43))
-_STRENGTHS: Final = np.geomspace(1.0, 64.0, 9)
-_MEAN, _STRENGTH = (nodes.ravel() for nodes in np.meshgrid(_MEANS, _STRENGTHS))
-"""Of Beta distributions of rates; the strength is a number of attacks. Weak ones are likelier."""
 _BIAS: Final = 0.05
 """The mean has the prior Beta(0.05, 1) for the lower end and Beta(1, 0.05) for the upper one: the
 exact interval of one rate is of two Beta distributions, too."""
@@ -360,6 +356,19 @@ def place_rates(places: Mapping[str, Units]) -> dict[str, Interval]:
     return {place: known[count] for place, count in counts.items()}
 
 
+@cache
+def _nodes() -> tuple[Floats, Floats]:
+    """Means and strengths (J,) of Beta distributions of rates.
+
+    A strength is a number of attacks; weak ones are likelier.
+    """
+    from scipy.special import expit
+
+    means = expit(np.linspace(-7.0, 7.0, 43))
+    mean, strength = np.meshgrid(means, np.geomspace(1.0, 64.0, 9))
+    return mean.ravel(), strength.ravel()
+
+
 @lru_cache(maxsize=64)
 def _place_rates(
     counts: tuple[tuple[float, float], ...], confidence: float = PLACE_CONFIDENCE
@@ -367,14 +376,17 @@ def _place_rates(
     """The interval of each (events, attacks) among those of all places; the mean of all rates."""
     if not counts:
         return {}, 0.0
+    from scipy.special import betaln
+
+    mean, strength = _nodes()
     different, number = np.unique(np.array(counts), axis=0, return_counts=True)
     events, misses = different[:, :1], different[:, 1:] - different[:, :1]
-    a, b = _MEAN * _STRENGTH, (1 - _MEAN) * _STRENGTH
+    a, b = mean * strength, (1 - mean) * strength
     log_likelihood = number @ (betaln(a + events, b + misses) - betaln(a, b))
-    log_likelihood -= 0.5 * np.log(_STRENGTH)
+    log_likelihood -= 0.5 * np.log(strength)
 
     def posterior(of_low: float, of_high: float) -> Floats:
-        logs = log_likelihood + of_high * np.log(_MEAN) + of_low * np.log1p(-_MEAN)
+        logs = log_likelihood + of_high * np.log(mean) + of_low * np.log1p(-mean)
         weights = np.exp(logs - logs.max())
         return np.where(weights > _LIKELY, weights, 0.0)
 
@@ -388,13 +400,15 @@ def _place_rates(
         (float(one[0]), float(one[1])): Interval(*map(float, found))
         for one, *found in zip(different, rates, low, high, strict=True)
     }
-    return intervals, float(_MEAN @ middle / middle.sum())
+    return intervals, float(mean @ middle / middle.sum())
 
 
 def _mixture_quantile(
     a: Floats, b: Floats, events: Floats, misses: Floats, weights: Floats, level: float
 ) -> Floats:
     """(C,) of the Beta distributions of (J,) nodes given (C, 1) counts."""
+    from scipy.special import betainc
+
     kept = weights > 0
     share = weights[kept] / weights[kept].sum()
     own, rest = a[kept] + events, b[kept] + misses

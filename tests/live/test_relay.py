@@ -4,10 +4,13 @@ import multiprocessing
 import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 
 import pytest
 
+from deepmf_sumo import live
 from deepmf_sumo.live import relay
 from deepmf_sumo.live.kept_files import framed
 from deepmf_sumo.live.relay import Wire, commands_of, number_of
@@ -157,3 +160,17 @@ def test_a_state_is_saved_in_the_folder_only(played, tmp_path):
         assert b"simulation.saveState: '/' names no file" in answer
     (asked,) = [one for one in played.asked if number_of(one) == 0xCB]
     assert asked.endswith(str(tmp_path / ".profile").encode())
+
+
+@pytest.mark.sumo
+def test_its_process_loads_nothing_that_only_attacks_need():
+    heavy = "{'scipy', 'torch', 'pandas', 'deepmf_sumo.live.attacker', 'deepmf_sumo.results'}"
+    code = f"import sys, deepmf_sumo.live.relay; print({heavy} & set(sys.modules) or 'none')"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "none"
+
+
+def test_the_room_has_the_names_that_it_lists():
+    assert all(getattr(live, name).__name__ == name for name in live.__all__)
+    with pytest.raises(AttributeError, match="nobody"):
+        live.nobody  # noqa: B018

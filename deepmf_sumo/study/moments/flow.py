@@ -1,7 +1,6 @@
 """How many vehicles pass each place of a network without an attack, as the survey saw it."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from deepmf_sumo.scene import Bools
 from deepmf_sumo.study.moments.moment import REACH_M, Flow, off_level, opponents
@@ -46,6 +45,8 @@ def flows(sightings: Sightings, from_s: float | None = None) -> tuple[Flow, ...]
 
 def accompanied(sightings: Sightings) -> Bools:
     """(K) whether another vehicle that can attack it is within `REACH_M` at that time."""
+    from scipy.spatial import cKDTree  # 0.3 s that only the choice of moments needs
+
     able = opponents(sightings)
     _, moment = np.unique(sightings.time_s, return_inverse=True)
     points = np.column_stack([sightings.position_m, _APART_M * moment.ravel()])
