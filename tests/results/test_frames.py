@@ -20,7 +20,7 @@ from deepmf_sumo.tables import to_csv
 
 from tests.support import gate_doubles
 
-PAGE = Path(__file__).parents[2] / "docs" / "howto" / "results-in-python.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
 WHOLE = {
     "perception": "lane", "parameters": None, "version": "S1", "budget": {}, "part": "main",
     "method": "", "opponent_score": None, "timings": {"wall_s": 1.5, "generation_s": 0.25},
