@@ -1,5 +1,6 @@
 import errno
 import os
+import re
 import sys
 import types
 
@@ -72,6 +73,15 @@ def test_an_interrupted_run_ends_as_if_it_had_not_been_interrupted(tmp_path, cut
 
     assert curve("part") == curve("whole")
     assert len(curve("whole")) == 5
+
+
+def test_a_look_says_how_long_it_takes_at_most(tmp_path):
+    lines = []
+    train(tmp_path, lines=lines)
+    looks = [line for line in lines if line.startswith("step ")]
+    assert len(looks) == 4
+    assert all(re.search(r"ms a step, at most \d+ s left$", line) for line in looks[:3])
+    assert looks[3].endswith("ms a step")
 
 
 def test_a_finished_run_is_not_repeated_while_its_checkpoint_is_there(tmp_path):

@@ -203,9 +203,10 @@ class _Run:
         values = [float("nan") if value is None else value for value in (whole, *by_source)]
         rate = self.optimiser.param_groups[0]["lr"]
         state.rows.append([state.step, state.loss, *values, rate, pace])
+        left = _left(pace, self.schedule.steps - state.step)
         report(
             f"step {state.step} of {self.schedule.steps}: loss {state.loss:.3f}, "
-            f"held out {_described(whole, by_source, dataset)}, {pace:.0f} ms a step"
+            f"held out {_described(whole, by_source, dataset)}, {pace:.0f} ms a step{left}"
         )
         return state.rows
 
@@ -251,6 +252,14 @@ class _Run:
             yield
         finally:
             self.net.load_state_dict(own)
+
+
+def _left(pace_ms: float, steps: int) -> str:
+    """Time that steps take at most: a training may stop before."""
+    rest = pace_ms * steps / 1000
+    if not steps:
+        return ""
+    return f", at most {rest:.0f} s left" if rest < 100 else f", at most {rest / 60:.0f} min left"
 
 
 def _precision(schedule: Schedule) -> torch.autocast:
