@@ -22,10 +22,13 @@ from deepmf_sumo.scene import AgentId, Bools, Floats, RoadMap, Rollout, Tracks, 
 from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 from deepmf_sumo.scene.rollout import Role
+from deepmf_sumo.sumo.network import mapping
 from deepmf_sumo.sumo.network.sumo_net import read_once
 
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
+MAP: Final = "map.add.xml"
+"""Polygons of the road: crosswalks of recordings; buildings and water beside a network."""
 FCD, REPLAY, CONFIG, VIEW = "fcd.xml", "replay.fcd.xml", "replay.sumocfg", "view.xml"
 _COLOURS: Final[dict[Role, str]] = {
     "av": "200,30,30", "opponent": "240,140,0", "attacker": "240,140,0",
@@ -68,8 +71,11 @@ def _fill(folder: Path, run: Exportable) -> None:
     replayed[[kind == "pedestrian" for kind in tracks.kinds]] = False
     additional = [TYPES, SHAPES]
     if run.net.additional is not None:
-        shutil.copyfile(run.net.additional, folder / "map.add.xml")
-        additional.append("map.add.xml")
+        shutil.copyfile(run.net.additional, folder / MAP)
+    elif shapes := mapping.beside(road):
+        mapping.write_additional(shapes, folder / MAP)
+    if (folder / MAP).is_file():
+        additional.append(MAP)
     (folder / TYPES).write_text(_types(rollout, run.made), "utf-8")
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
     (folder / FCD).write_text(_fcd(rollout, tracks.valid, run.made), "utf-8")

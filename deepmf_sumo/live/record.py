@@ -21,6 +21,7 @@ from typing import Any, Final
 import deepmf_sumo
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.exporters import fcd
 from deepmf_sumo.judge.metrics import Episode, measure, measured
 from deepmf_sumo.live.session import LiveAttack, Switch, TimeJump
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals, turns
@@ -31,6 +32,7 @@ from deepmf_sumo.scene import DT_S, AgentId, Attack, Contact, Event, RoadMap, Tr
 from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.spec import Spec, profiles
 from deepmf_sumo.spec.tasks import Task
+from deepmf_sumo.sumo.network import mapping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +85,7 @@ class SessionResults:
         signals.write_signals(folder / signals.FILE, attack.rollout, self._setting.road)
         artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
+        self._keep_map(folder / "sumo")
         scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"
         if self._simulations > 1:  # of another traffic, perhaps
             scene = f"{self._simulations}-{scene}"
@@ -127,6 +130,11 @@ class SessionResults:
                 return
         shutil.copyfile(net, kept)
         self._nets[self._net] = kept
+
+    def _keep_map(self, folder: Path) -> None:
+        """Buildings and water beside the network, which hide people and keep them away."""
+        if shapes := mapping.beside(self._setting.road):
+            mapping.write_additional(shapes, folder / fcd.MAP)
 
 
 def _finished(task: Task, attack: LiveAttack, setting: Setting, folder: Path) -> Result:

@@ -1,20 +1,20 @@
-"""Lanes, lines, edges and crosswalks of a road map."""
+"""Road maps and boxes of road users, drawn in matplotlib's axes."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.path import Path
 
 from deepmf_sumo.report import palette
+from deepmf_sumo.report.map_layers import LAYERS, MapLayer, features
 from deepmf_sumo.scene import Floats, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes
-from deepmf_sumo.scene.geometry.lane_map import per_road
 
 SCORES: Final = LinearSegmentedColormap.from_list(
     "scores", [palette.hexadecimal(colour) for colour in palette.SCORES]
@@ -66,94 +66,59 @@ def square(centre_m: Floats, side_m: float, turn_rad: float = 0.0) -> ViewWindow
     return ViewWindow(x0=x - half, x1=x + half, y0=y - half, y1=y + half, turn_rad=turn_rad)
 
 
-UNKNOWN_WIDTH_M = 3.5
-"""Width at which lanes are drawn that do not say theirs."""
-_FILLED_M: Final = 5.0
-"""Between lanes of one junction gaps up to twice this wide are part of it."""
-
-
-@per_road
-def junctions(road: RoadMap) -> list[list[Floats]]:
-    """The places where lanes cross: lanes of a junction, and what is between.
-
-    Each an outline (P, 2), and those of its islands.
-    """
-    lanes = [
-        shapely.LineString(lane.centre_m).buffer(
-            (lane.width_m or UNKNOWN_WIDTH_M) / 2, cap_style="flat"
-        )
-        for lane in road.lanes.values()
-        if lane.interpolating and len(lane.centre_m) > 1
-    ]
-    if not lanes:
-        return []
-    joined = shapely.union_all(lanes).buffer(_FILLED_M).buffer(-_FILLED_M)
-    parts = shapely.get_parts(joined)
-    return [
-        [shapely.get_coordinates(ring) for ring in (one.exterior, *one.interiors)]
-        for one in parts
-        if isinstance(one, shapely.Polygon)
-    ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadStyle:
-    """Colours, and widths of lines in points."""
-
-    surface: str = "#eef0f2"
-    centre: str = "#d5dae0"
-    line: str = "#c4cbd3"
-    edge: str = "#6f7884"
-    crosswalk: str = "#e3e7ef"
-    line_pt: float = 0.9
-    crosswalk_pt: float = 1.0
-
-
-PICTURE = RoadStyle()
-
-
 def draw_road(
-    axes: Axes, road: RoadMap, window: ViewWindow, inches: float, style: RoadStyle = PICTURE
+    axes: Axes, road: RoadMap, window: ViewWindow, inches: float, fine: float = 1.0
 ) -> None:
-    """Draw what the window shows of a road.
+    """Draw what the window shows of a road, see `map_layers`.
 
     ``inches`` is the width of the axes on paper: lanes are as wide as they are in the world.
+    ``fine``: widths of lines, as a share of the usual ones.
     """
-    areas = [[window.place(ring) for ring in area] for area in junctions(road)]
+    point = 72 * inches / window.side_m
+    shown: dict[str, list[tuple[list[Floats], float]]] = defaultdict(list)
+    for one in features(road):
+        placed = [window.place(part) for part in one.parts_m]
+        if window.shows(placed[0]):
+            shown[one.kind].append((placed, point * one.width_m))
+    for layer in LAYERS:
+        lines = [parts[0] for parts, _ in shown[layer.of]]
+        if layer.name == "lane" and layer.fill:
+            widths = [width for _, width in shown[layer.of]]
+            axes.add_collection(
+                LineCollection(
+                    lines, colors=layer.fill.light, linewidths=widths, capstyle="butt",
+                    joinstyle="round", zorder=0,
+                )
+            )  # fmt: skip
+        elif layer.fill:
+            _areas(axes, layer, [parts for parts, _ in shown[layer.of]], fine)
+        elif layer.edge:
+            width = fine * layer.edge_pt
+            axes.add_collection(
+                LineCollection(lines, colors=layer.edge.light, linewidths=width, zorder=1)
+            )
+
+
+def _areas(axes: Axes, layer: MapLayer, areas: list[list[Floats]], fine: float) -> None:
+    assert layer.fill
     shapes = [
-        Path.make_compound_path(*(Path(ring, closed=True) for ring in area))
+        Path.make_compound_path(*(Path(np.vstack([ring, ring[:1]]), closed=True) for ring in area))
         for area in areas
-        if window.shows(area[0])
     ]
-    axes.add_collection(PathCollection(shapes, facecolors=style.surface, linewidths=0, zorder=0))
-    centres = [
-        (placed, lane.width_m)
-        for lane in road.lanes.values()
-        if len(lane.centre_m) > 1 and window.shows(placed := window.place(lane.centre_m))
-    ]
-    for placed, width_m in centres:
-        width = 72 * inches * (width_m or UNKNOWN_WIDTH_M) / window.side_m
-        line = axes.plot(*placed.T, color=style.surface, lw=width, zorder=0)[0]
-        line.set_solid_capstyle("butt")
-    lines = {
-        style.centre: [placed for placed, _ in centres],
-        style.line: [window.place(line.points_m) for line in road.lines if len(line.points_m)],
-        style.edge: [window.place(edge.points_m) for edge in road.edges if len(edge.points_m)],
-    }
-    for color, polylines in lines.items():
-        shown = [points for points in polylines if window.shows(points)]
-        axes.add_collection(LineCollection(shown, colors=color, linewidths=style.line_pt, zorder=1))
-    crosswalks = [window.place(one.points_m) for one in road.polygons if one.kind == "crosswalk"]
     axes.add_collection(
-        PolyCollection(
-            [points for points in crosswalks if window.shows(points)],
-            facecolors=style.crosswalk,
-            edgecolors=style.line,
-            linewidths=style.crosswalk_pt,
-            hatch="//",
-            zorder=1,
+        PathCollection(
+            shapes,
+            facecolors=layer.fill.light,
+            edgecolors=layer.edge.light if layer.edge else "none",
+            linewidths=fine * layer.edge_pt if layer.edge else 0,
+            hatch=layer.hatch or None,
+            zorder=0,
         )
     )
+
+
+_SEEN: Final = 1 / 110
+"""Least length of a box in widths of the window: people would be too small to be seen."""
 
 
 class Outline(NamedTuple):
@@ -178,7 +143,9 @@ def draw_boxes(
         return
     rows, steps = np.array(places).T
     centre, heading = tracks.position_m[rows, steps], tracks.heading_rad[rows, steps]
-    corners = window.place(boxes.corners(centre, heading, tracks.size_m[rows, :2]))
+    size = tracks.size_m[rows, :2]
+    size = size * np.maximum(1.0, _SEEN * window.side_m / size[:, :1])
+    corners = window.place(boxes.corners(centre, heading, size))
     axes.add_collection(
         PolyCollection(
             list(corners),

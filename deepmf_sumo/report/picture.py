@@ -10,12 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
 from deepmf_sumo.judge.hits import conflict_of
 from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.map_layers import LAYERS, features
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
 from deepmf_sumo.scene import (
@@ -24,6 +25,7 @@ from deepmf_sumo.scene import (
     Floats,
     OpponentScores,
     Plan,
+    RoadMap,
     Rollout,
     TrafficCase,
     View,
@@ -32,7 +34,7 @@ from deepmf_sumo.scene.road_users import road_user
 
 OTHER, CONTACT = "#8d99a6", "#000000"
 AXES_IN: Final = 7.4
-"""Width of the map on paper, about; the legend takes the rest."""
+"""Width of the map on paper, about."""
 MARGIN_M: Final = 18.0
 SMALLEST_M: Final = 60.0
 LARGEST_M: Final = 160.0
@@ -47,7 +49,7 @@ EVERY_STEPS: Final = 10
 
 def draw(rollout: Rollout, case: Case, path: Path) -> None:
     """Write a PNG; the same rollout gives the same bytes."""
-    figure = Figure(figsize=(8.0, 8.4), dpi=110, layout="constrained")
+    figure = Figure(figsize=(8.0, 9.8), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
@@ -64,8 +66,9 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     if contact:
         _contact(axes, rollout, contact, window)
     _finish(axes, window, _title(rollout, case, contact), north=isinstance(case, TrafficCase))
-    handles = list(_handles(rollout, scores, plan))
-    axes.legend(handles=handles, loc="best", fontsize=8, framealpha=0.9).set_zorder(13)
+    handles = [*_handles(rollout, scores, plan), *_map_handles(case.road, window)]
+    # below the map: in it, it hides somebody
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(path, metadata={"Software": None})
 
 
@@ -269,15 +272,28 @@ def _finish(axes: Axes, window: ViewWindow, title: str, *, north: bool) -> None:
     axes.set_title(title, fontsize=11, parse_math=False)
     bar = 20.0 if x1 - x0 > 80 else 10.0
     left, bottom = x0 + 0.04 * (x1 - x0), y0 + 0.03 * (y1 - y0)
-    axes.plot([left, left + bar], [bottom, bottom], color="black", lw=2, zorder=12)
-    axes.text(left + bar / 2, bottom + 0.01 * (y1 - y0), f"{bar:g} m", ha="center", zorder=12)
+    width, height = bar + (0.1 if north else 0.02) * (x1 - x0), 0.07 * (y1 - y0)
+    corner = left - 0.01 * (x1 - x0), y0 + 0.015 * (y1 - y0)
+    axes.add_patch(Rectangle(corner, width, height, fc="white", ec="none", alpha=0.75, zorder=12))
+    axes.plot([left, left + bar], [bottom, bottom], color="black", lw=2, zorder=13)
+    axes.text(left + bar / 2, bottom + 0.01 * (y1 - y0), f"{bar:g} m", ha="center", zorder=13)
     if north:
         tip = {"arrowstyle": "-|>", "color": "black", "lw": 1.2}
         place = left + bar + 0.05 * (x1 - x0)
         axes.annotate(
             "N", xy=(place, bottom + 0.06 * (y1 - y0)), xytext=(place, bottom), ha="center",
-            arrowprops=tip, zorder=12,
+            arrowprops=tip, zorder=13,
         )  # fmt: skip
+
+
+def _map_handles(road: RoadMap, window: ViewWindow) -> Iterator[Patch]:
+    """Of what the window shows of the map, as far as it does not explain itself."""
+    shown = {one.kind for one in features(road) if window.shows(one.parts_m[0])}
+    for layer in LAYERS:
+        if layer.words and layer.of in shown and layer.fill:
+            edge = layer.edge.light if layer.edge else "none"
+            hatch = 2 * layer.hatch or None
+            yield Patch(fc=layer.fill.light, ec=edge, hatch=hatch, label=layer.words)
 
 
 def _handles(
@@ -302,7 +318,8 @@ def _handles(
     if scores:
         for chance in (0.0, 0.5, 1.0):
             yield Patch(fc=SCORES(chance), ec="#59626d", label=f"opponent score {chance:g}")
-    yield Patch(fc=UNSCORED, ec="#59626d", label="others, not scored" if scores else "others")
+    others = "others, not scored" if scores else "others"
+    yield Patch(fc=UNSCORED, ec="#59626d", label=f"{others}; all others where they were at 0 s")
     if rollout.contacts:
         mark = {"marker": "x", "markersize": 8, "markeredgewidth": 2}
         yield Line2D([], [], color=CONTACT, ls="", label="contact", **mark)  # type: ignore[arg-type]

@@ -19,7 +19,6 @@ from deepmf_sumo.sumo import network
 Only = Literal["hits", "findings"]
 ONLY: Final[tuple[Only, ...]] = get_args(Only)
 Outcome = Literal["written", "left out", "failed"]
-_MAP: Final = "map.add.xml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,8 +228,7 @@ def _net(run: Run) -> NetFiles:
     """That in the run's folder; else that of the recording, converted again where need be."""
     kept = stored.net_file(run.folder)
     if kept is not None:
-        drawn = run.folder / "sumo" / _MAP
-        return NetFiles(net=kept, additional=drawn if drawn.is_file() else None)
+        return NetFiles(net=kept, additional=stored.map_file(run.folder))
     scene = run.recording()
     if scene is None:
         raise UsageError(f"{run.folder}/sumo holds no net.net.xml; run it again.")

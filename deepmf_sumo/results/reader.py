@@ -257,6 +257,15 @@ class Run:
             raise UsageError(f"{file} is damaged: it has no key 'source' with keys; run it again.")
         return source
 
+    @property
+    def av_sees(self) -> str:
+        """What the planner was shown, as the spec's key ``av_sees``; empty where nothing is known.
+
+        Raises UsageError where the spec is damaged.
+        """
+        file = self.folder / "spec.yaml"
+        return str(document.read(file).values.get("av_sees", "all")) if file.is_file() else ""
+
     def recording(self) -> Scene | None:
         """The recorded scene, from the run's first step on; None where its source is none.
 
@@ -271,6 +280,8 @@ class Run:
     def road(self) -> tuple[RoadMap, str]:
         """The recording's map, or the network's; and why it is not the one that was attacked on.
 
+        A network's has the buildings and the water that were there.
+
         Where the recording is gone, it is the network in the run's folder.
         """
         source = self.source
@@ -283,7 +294,8 @@ class Run:
         net = stored.net_file(self.folder)
         if net is None:
             raise UsageError(f"{self.folder}/sumo holds no net.net.xml; run it again for figures.")
-        return road_of_net(net), lost
+        drawn = stored.map_file(self.folder)
+        return road_of_net(net, [drawn] if drawn else []), lost
 
     def unattacked(self) -> Counterfactual | None:
         """Where the opponent would have been without the attack, as the run was judged.

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.exporters import fcd
 from deepmf_sumo.judge.ladder import Rung
 from deepmf_sumo.results import result
 from deepmf_sumo.results.result import Result
@@ -430,6 +431,12 @@ def result_folders(folder: Path) -> list[Path]:
 def net_file(folder: Path) -> Path | None:
     """The network in a run's folder."""
     return next(iter(sorted((folder / "sumo").glob("net.net.xml*"))), None)
+
+
+def map_file(folder: Path) -> Path | None:
+    """What is drawn beside the network in a run's folder; earlier versions kept none."""
+    file = folder / "sumo" / fcd.MAP
+    return file if file.is_file() else None
 
 
 def mapping(file: Path, *, again: str = "run it again") -> dict[str, Any]:

@@ -10,7 +10,9 @@ import numpy as np
 from deepmf_sumo.scene._arrays import Bools, Bytes, Floats, Frozen, frozen
 
 LaneKind = Literal["unknown", "freeway", "street", "bike"]
-PolygonKind = Literal["crosswalk", "speed_bump", "driveway", "building", "footway", "water"]
+PolygonKind = Literal[
+    "crosswalk", "speed_bump", "driveway", "building", "footway", "track", "water"
+]  # fmt: skip
 
 
 LINE_TYPES: Final = 9
@@ -122,7 +124,8 @@ class RoadMap:
 
     Recordings have none of what is beside the road. ``buildings`` hide road users
     (`geometry.sight`), and with ``water`` keep people away (`geometry.walkable`). ``footways`` are
-    sidewalks and other areas for people, and tracks of trams; None: the source maps none.
+    sidewalks and other areas for people, and tracks of trams (kind ``track``); None: the source
+    maps none.
     """
 
     lanes: dict[str, Lane]

@@ -12,8 +12,11 @@ import sumo
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.planners import idm
+from deepmf_sumo.scene import Polygon
+from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.sumo.simulation import simulate
 
+from tests.support.rollout_doubles import in_traffic, rollout_of, straight
 from tests.support.simulated_worlds import LANE_M, case_of, scene_of, straight_motion, straight_road
 
 pytestmark = pytest.mark.sumo
@@ -143,3 +146,28 @@ def test_heights_are_written_where_there_are_any(exported, tmp_path):
     write(replace(rollout, tracks=tracks), case, tmp_path / "sumo")
     text = (tmp_path / "sumo" / fcd.FCD).read_text()
     assert text.count(' z="8.00"/>') == text.count("<vehicle ") == rollout.tracks.valid.sum()
+
+
+def test_buildings_and_water_beside_a_network_are_in_the_folder(tmp_path):
+    """They hide people: whoever reads the folder must know them. Crossings are in the network."""
+    scene = scene_of(straight_road(), {"av": straight_motion(60.0, 0.4, 0.0, 12.0)})
+    case = case_of(scene, tmp_path)
+    rollout = rollout_of({"av": straight(60, 0, 12)}, opponent_id=None)
+    areas = {
+        kind: Polygon(id=name, kind=kind, points_m=np.eye(3, 2) * 9 + 0.25, z_m=np.zeros(3))
+        for kind, name in {"building": "h", "water": "w", "crosswalk": ":x_c0"}.items()
+    }
+    road = replace(
+        case.road,
+        polygons=(areas["crosswalk"],),
+        buildings=(areas["building"],),
+        water=(areas["water"],),
+    )
+    traffic = replace(in_traffic(case), road=road, net_file=case.net.file)
+    write(rollout, traffic, tmp_path / "sumo")
+    back = road_of_net(tmp_path / "sumo" / "net.net.xml", [tmp_path / "sumo" / fcd.MAP])
+    assert [one.kind for one in (*back.buildings, *back.water)] == ["building", "water"]
+    np.testing.assert_allclose(back.buildings[0].points_m, areas["building"].points_m)
+    assert fcd.MAP in (tmp_path / "sumo" / fcd.CONFIG).read_text()
+    write(rollout, replace(traffic, road=case.road), tmp_path / "plain")
+    assert not (tmp_path / "plain" / fcd.MAP).exists()

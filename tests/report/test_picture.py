@@ -6,7 +6,7 @@ import pytest
 import shapely
 
 from deepmf_sumo.deepmf.policy import Settings, build
-from deepmf_sumo.report.drawing import junctions
+from deepmf_sumo.report.map_layers import junctions
 from deepmf_sumo.report.picture import came_from, draw, happened
 from deepmf_sumo.scene import Contact, Lane, RoadMap
 

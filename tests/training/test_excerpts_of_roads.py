@@ -1,8 +1,10 @@
 """Excerpts of road maps."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from deepmf_sumo.scene import Lane, Neighbour, Polyline, RoadMap, StopSign
+from deepmf_sumo.scene import Lane, Neighbour, Polygon, Polyline, RoadMap, StopSign
 from deepmf_sumo.training.recording.scenes import Excerpts
 
 
@@ -49,3 +51,23 @@ def test_everything_is_within_a_large_radius():
     assert near.lanes.keys() == ROAD.lanes.keys()
     assert near.lanes["a"].left == ROAD.lanes["a"].left
     assert len(near.edges) == 1
+
+
+def test_what_hides_people_and_where_they_walk_is_kept():
+    def area(kind, x):
+        ring = [(x, 10), (x + 10, 10), (x + 10, 20)]
+        return Polygon(id=f"{kind} {x}", kind=kind, points_m=ring, z_m=[0, 0, 0])
+
+    road = replace(
+        ROAD,
+        buildings=(area("building", 900), area("building", 0)),
+        water=(area("water", 0), area("water", 900)),
+        footways=(area("footway", 0), area("track", 900)),
+    )
+    way = np.array([[0.0, 0.0], [60.0, 0.0]])
+    near = Excerpts(road).near(way, 100.0)
+    assert [one.id for one in near.buildings] == ["building 0"]
+    assert [one.id for one in near.water] == ["water 0"]
+    assert [one.id for one in near.footways] == ["footway 0"]
+    assert Excerpts(ROAD).near(way, 100.0).footways is None
+    assert Excerpts(replace(ROAD, footways=())).near(way, 100.0).footways == ()

@@ -32,7 +32,7 @@ def draw_episode(
 ) -> None:
     """Draw what the window shows of a run; ``seconds`` is the end of the scale of time."""
     rollout = run.rollout
-    draw_road(axes, road, window, inches, style.ROAD)
+    draw_road(axes, road, window, inches, style.FINE)
     _others(axes, rollout, window)
     scale = Normalize(0.0, seconds)
     agents = [(rollout.av_id, style.AV_TIME), (rollout.opponent_id, style.OPPONENT_TIME)]

@@ -45,7 +45,7 @@ def draw(results: Results) -> Sheet | Skipped:
         axes = grid.panel(figure, *divmod(number, columns))
         road, note = run.road()
         notes += [note] if note else []
-        draw_road(axes, road, window, grid.panel_in, style.ROAD)
+        draw_road(axes, road, window, grid.panel_in, style.FINE)
         _vehicles(axes, run.rollout, chances, window)
         best = chances.get(run.rollout.opponent_id or "", float("nan"))
         frame(axes, window, f"{letter} opponent's score {best:.2f}")

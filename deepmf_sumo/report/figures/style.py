@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deepmf_sumo import files
-from deepmf_sumo.report.drawing import RoadStyle, ViewWindow
+from deepmf_sumo.report.drawing import ViewWindow
 from deepmf_sumo.report.palette import STAR
 
 SINGLE_IN: Final = 3.4
@@ -28,7 +28,8 @@ AV: Final = "#0b3c8c"
 OPPONENT: Final = "#d9480f"
 OTHER: Final = "#c3c9d0"
 OTHER_EDGE: Final = "#6b747e"
-ROAD: Final = RoadStyle(line_pt=0.5, crosswalk_pt=0.3)
+FINE: Final = 0.55
+"""Widths of lines of the road: panels are small."""
 AV_TIME: Final[Colormap] = LinearSegmentedColormap.from_list(
     "av", ["#7fb3e0", "#2b6fb5", "#06204f"]
 )

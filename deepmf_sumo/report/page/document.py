@@ -9,6 +9,7 @@ from typing import Any, Final
 from deepmf_sumo import files
 from deepmf_sumo.errors import UsageError, WeightsError
 from deepmf_sumo.report import failures as words
+from deepmf_sumo.report.map_layers import LAYERS
 from deepmf_sumo.report.page import maps
 from deepmf_sumo.report.page.columns import RUN_COLUMNS, SPEED_CLASSES
 from deepmf_sumo.report.page.replay import packed
@@ -137,7 +138,11 @@ def _licences(name: str) -> list[list[str]] | str:
 def _joined(content: dict[str, Any], texts: dict[str, list[str]]) -> str:
     """The document; ``texts`` are unpacked only when the page shows them."""
     columns = [column.as_json() for column in RUN_COLUMNS]
-    content = {"columns": columns, "rows": [], "scores": SCORES, **content}
+    layers = [
+        [one.name, one.of, bool(one.fill), one.edge_pt * bool(one.edge), one.words]
+        for one in LAYERS
+    ]
+    content = {"columns": columns, "rows": [], "scores": SCORES, "layers": layers, **content}
     assets = resources.files("deepmf_sumo.report.page") / "assets"
 
     def asset(name: str) -> str:
@@ -149,7 +154,7 @@ def _joined(content: dict[str, Any], texts: dict[str, list[str]]) -> str:
         for number, text in enumerate(of_kind)
     ]
     parts = {
-        "style": "".join(map(asset, ("page.css", "run.css", "map.css"))),
+        "style": "".join((*map(asset, ("page.css", "run.css", "map.css")), _map_colours())),
         "data": "\n".join((*stored_texts, _script("content", _safe(content)))),
         "script": "\n".join(asset(f"{name}.js") for name in _SCRIPTS),
     }
@@ -157,6 +162,23 @@ def _joined(content: dict[str, Any], texts: dict[str, list[str]]) -> str:
     for name, text in parts.items():
         page = page.replace(f"<!-- {name} -->", text, 1)
     return page
+
+
+def _map_colours() -> str:
+    """Style sheet with the colours of maps, ``--map-NAME`` and ``--map-NAME-edge``."""
+
+    def shades(number: int) -> str:
+        colours = {f"map-{one.name}": one.fill for one in LAYERS}
+        colours |= {f"map-{one.name}-edge": one.edge for one in LAYERS}
+        return "".join(f"--{name}:{one[number]};" for name, one in colours.items() if one)
+
+    dark = shades(1)
+    return (
+        f":root{{{shades(0)}}}\n"
+        f':root[data-theme="dark"]{{{dark}}}\n'
+        "@media (prefers-color-scheme: dark)"
+        f'{{:root:not([data-theme="light"]){{{dark}}}}}\n'
+    )
 
 
 def _script(name: str, text: str) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
+from deepmf_sumo.report.map_layers import UNKNOWN_WIDTH_M
 from deepmf_sumo.results import stored
 from deepmf_sumo.scene import (
     Bools,
@@ -27,6 +28,7 @@ from deepmf_sumo.scene import (
     RoadMap,
     Rollout,
 )
+from deepmf_sumo.scene.geometry import sight
 from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS, STOP_FIRST
 
 
@@ -62,8 +64,6 @@ FULL_TURN: Final = 1024
 OTHERS_EVERY: Final = 2
 """Steps from one pose of the others to the next; the page draws lines between."""
 _SAME_PLACE_M: Final = 0.5
-UNKNOWN_WIDTH_M: Final = 3.5
-"""Of a lane whose width the source does not state."""
 _LIGHTS: Final = {
     **dict.fromkeys(FORBIDS | STOP_FIRST, "stop"),
     **dict.fromkeys(HALTS - FORBIDS, "caution"),
@@ -73,15 +73,20 @@ _LIGHTS: Final = {
 
 
 def replay(
-    rollout: Rollout, origin: Floats, turns: Sequence[Mapping[str, Any]] = ()
+    rollout: Rollout,
+    origin: Floats,
+    turns: Sequence[Mapping[str, Any]] = (),
+    road: RoadMap | None = None,
 ) -> dict[str, Any]:
     """Poses, contacts and timelines, positions relative to ``origin`` (2,).
 
-    ``turns``: of ``result.json``, where several vehicles attacked.
+    ``turns``: of ``result.json``, where several vehicles attacked. ``road``: whose buildings hide
+    road users from the AV; None where it is not known, then only vehicles do.
     """
     tracks = rollout.tracks
     near = _near(rollout)
     roles = rollout.roles
+    unseen = _unseen(rollout, np.flatnonzero(near), road or RoadMap(lanes={}))
     return {
         "origin": origin.tolist(),
         "steps": tracks.steps,
@@ -91,7 +96,8 @@ def replay(
         "hidden": int(tracks.agents - near.sum()),
         "agents": [
             _agent(rollout, int(row), roles.get(tracks.ids[row], "other"), origin)
-            for row in np.flatnonzero(near)
+            | ({"unseen": spans} if spans else {})
+            for row, spans in zip(np.flatnonzero(near), unseen, strict=True)
         ],
         "contacts": [_contact(rollout, contact, origin) for contact in rollout.contacts],
         "timeline": _timeline(rollout, turns),
@@ -158,6 +164,27 @@ def _near(rollout: Rollout) -> Bools:
             apart = np.linalg.norm(tracks.position_m - tracks.position_m[row], axis=-1)
             near |= ((apart <= REACH_M) & tracks.valid & tracks.valid[row]).any(axis=1)
     return near
+
+
+def _unseen(rollout: Rollout, rows: Ints, road: RoadMap) -> list[list[list[int]]]:
+    """Of each row: first and last step of each time at which the AV cannot see it, see `sight`.
+
+    From the current step on, to `OTHERS_EVERY` steps.
+    """
+    tracks = rollout.tracks.select(rows.tolist())
+    av = tracks.row(rollout.av_id)
+    steps = np.arange(rollout.now, tracks.steps, OTHERS_EVERY)
+    unseen = np.zeros((tracks.agents, len(steps) + 2), bool)  # nobody is hidden before and after
+    for place, step in enumerate(steps.tolist(), start=1):
+        if tracks.valid[av, step]:
+            seen = sight.visible(tracks, step, av, road)
+            unseen[:, place] = tracks.valid[:, step] & ~seen
+    found: list[list[list[int]]] = []
+    for row in unseen:
+        begin, end = np.flatnonzero(np.diff(row.astype(int))).reshape(-1, 2).T
+        last = np.append(steps, tracks.steps)[end] - 1
+        found.append(np.stack([steps[begin], last], axis=1).tolist())
+    return found
 
 
 def _agent(rollout: Rollout, row: int, role: str, origin: Floats) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import DeepmfError
-from deepmf_sumo.report.drawing import junctions
-from deepmf_sumo.report.page.replay import UNKNOWN_WIDTH_M, packed, stepwise
+from deepmf_sumo.report.map_layers import features
+from deepmf_sumo.report.page.replay import packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.scene import Floats, Lane, RoadMap
@@ -74,12 +74,12 @@ class PageRoads:
 
 
 def _key(run: Run) -> str:
-    """What tells roads apart: the recorded scene, or the content of the network."""
+    """What tells roads apart: the recorded scene, or the network with what is beside it."""
     source = run.source
     if "recording" in source:
         return f"{source['recording']} {run.scene}"
-    net = stored.net_file(run.folder)
-    return run.run_id if net is None else _digest(net)
+    net, drawn = stored.net_file(run.folder), stored.map_file(run.folder)
+    return run.run_id if net is None else " ".join(_digest(one) for one in (net, drawn) if one)
 
 
 @files.while_unchanged(4096)
@@ -93,32 +93,29 @@ def _keep(
     """Add the shapes within `AROUND_M` of the places that are not there yet."""
     area = shapely.buffer(shapely.LineString(np.concatenate([near_m, near_m[-1:]])), AROUND_M)
     shapely.prepare(area)
-    for kind, number, width_m, line in _features(road):
-        if (kind, number) not in shapes and shapely.intersects(area, line):
-            corners = shapely.get_coordinates(shapely.simplify(line, _TOLERANCE_M)) - origin
+    lines = _lines(road)
+    found = np.flatnonzero(shapely.intersects(area, lines)).tolist()
+    for number, one in ((number, features(road)[number]) for number in found):
+        if (one.kind, number) not in shapes:
+            line = shapely.simplify(lines[number], _TOLERANCE_M)
+            corners = shapely.get_coordinates(line) - origin
             x, y = (stepwise(axis, UNIT_M) for axis in corners.T)
-            shapes[kind, number] = [kind, round(width_m / UNIT_M), x, y]
+            shapes[one.kind, number] = [one.kind, round(one.width_m / UNIT_M), x, y]
 
 
 @per_road
-def _features(road: RoadMap) -> list[tuple[str, int, float, shapely.LineString]]:
-    """Kind, number, width in metres and line of all that is drawn."""
-    rows = [
-        ("lane", lane.width_m or UNKNOWN_WIDTH_M, lane.centre_m) for lane in road.lanes.values()
+def _lines(road: RoadMap) -> NDArray[Any]:
+    """Of each feature all parts, one after the other.
+
+    After each part it leads back to the first point: filled by the even-odd rule, islands are free.
+    """
+    rings = [
+        np.concatenate([each for part in one.parts_m for each in (part, one.parts_m[0][:1])])
+        if len(one.parts_m) > 1
+        else one.parts_m[0]
+        for one in features(road)
     ]
-    # After each ring back to the first point: filled by the even-odd rule, islands are free.
-    rows += [
-        ("junction", 0.0, np.concatenate([each for ring in area for each in (ring, area[0][:1])]))
-        for area in junctions(road)
-    ]
-    rows += [("line", 0.0, line.points_m) for line in road.lines]
-    rows += [("edge", 0.0, edge.points_m) for edge in road.edges]
-    rows += [("crosswalk", 0.0, one.points_m) for one in road.polygons if one.kind == "crosswalk"]
-    return [
-        (kind, number, width_m, shapely.LineString(points))
-        for number, (kind, width_m, points) in enumerate(rows)
-        if len(points) > 1
-    ]
+    return np.array([shapely.LineString(ring) for ring in rings], object)
 
 
 ELEMENTS: Final = (

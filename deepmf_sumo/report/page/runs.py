@@ -65,6 +65,7 @@ def run_page(out: Path, table: Mapping[str, str], roads: PageRoads) -> RunPage:
         try:
             shown, place, road = _shown(run, roads, result["turns"] or [])
             failure, missing = _failure(run, road)
+            shown["onset"] = _onset(run, failure)
             before = _BEFORE if run.judged_by_plan else ""
         except stored.DAMAGE as error:
             missing = f"cannot be replayed: {type(error).__name__}: {error}"
@@ -105,14 +106,22 @@ def _shown(
     number, road, note = roads.add(run, places)
     origin = np.rint(places[0])
     shown = {
-        "replay": replay(rollout, origin, turns),
+        "replay": replay(rollout, origin, turns, road),
         "lights": lights(rollout, road, origin) if road is not None else [],
         "reasons": reasons(run.folder / artifacts.PLANS, origin),
         "road": number,
         "road_note": note,
+        "sees": run.av_sees,
         "gui": run.opens_in_sumo,
     }
     return shown, _element(run, road), road
+
+
+def _onset(run: Run, failure: Failure | None) -> int | None:
+    """The step from which on the danger of a hit shows; None where there is none."""
+    if failure is None or failure.onset_s is None or run.contact is None:
+        return None
+    return run.contact.step - round(failure.onset_s / run.rollout.dt_s)
 
 
 def _failure(run: Run, road: RoadMap | None) -> tuple[Failure | None, str]:

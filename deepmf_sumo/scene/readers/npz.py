@@ -2,7 +2,8 @@
 
 Motion, signals and timestamps are arrays of their own. The points of all road features are in one
 array each (``road_points_m`` (P, 2), ``road_z_m`` (P)), feature after feature, in the order of the
-description: lanes, lines, edges, polygons, stop signs. The description is JSON and contains all
+description: lanes, lines, edges, polygons, stop signs; and what is beside the road, where a map has
+it: buildings, footways, water. The description is JSON and contains all
 other fields of the dataclasses under their names; a feature has its number of points besides.
 """
 
@@ -180,7 +181,9 @@ _FEATURES: Final[dict[str, type]] = {
     "edges": Polyline,
     "polygons": Polygon,
     "stop_signs": StopSign,
+    **(_BESIDE := dict.fromkeys(("buildings", "footways", "water"), Polygon)),
 }
+"""Those of `_BESIDE` are left out where the map has none: files of earlier versions have none."""
 _POINTS: Final = {kind: next(iter(_letters(kind))) for kind in _FEATURES.values()}
 """The field with the points of a feature; their heights are ``z_m``."""
 _LETTERS: Final = {
@@ -203,6 +206,9 @@ def _to_arrays(scene: Scene) -> Arrays:
     road: dict[str, list[dict[str, Any]]] = {key: [] for key in _FEATURES}
     for key, kind in _FEATURES.items():
         features = getattr(scene.road, key)
+        if features is None or (not features and key in {"buildings", "water"}):
+            del road[key]
+            continue
         for feature in features.values() if key == "lanes" else features:
             points.append(getattr(feature, _POINTS[kind]).reshape(-1, 2))
             heights.append(np.atleast_1d(feature.z_m))
@@ -284,7 +290,7 @@ _ROAD: Final[dict[str, Any]] = {
                 **(_EDGE if key == "edges" else {}),
             )
         ],
-        ...,
+        None if key in _BESIDE else ...,
     )
     for key, kind in _FEATURES.items()
 }
@@ -328,7 +334,9 @@ def _check_arrays(arrays: Arrays, described: Any) -> None:
     if described.av_id not in described.ids:
         raise ReaderError(f"'av_id' is '{described.av_id}', but there is no such agent")
     steps = arrays["timestamps_s"].size
-    points = sum(feature.points for key in _FEATURES for feature in getattr(described.road, key))
+    points = sum(
+        feature.points for key in _FEATURES for feature in getattr(described.road, key) or ()
+    )
     shapes = {
         "timestamps_s": (steps,),
         "road_points_m": (points, 2),
@@ -356,7 +364,7 @@ def _road(described: Any, xy: np.ndarray, z: np.ndarray) -> RoadMap:
     start = 0
     road: dict[str, list[Any]] = {key: [] for key in _FEATURES}
     for key, kind in _FEATURES.items():
-        for one in getattr(described, key):
+        for one in getattr(described, key) or ():
             stop = start + one.points
             at: Any = (xy[start:stop], z[start:stop])
             if kind is StopSign:
@@ -366,4 +374,6 @@ def _road(described: Any, xy: np.ndarray, z: np.ndarray) -> RoadMap:
     lanes = {lane.id: lane for lane in road.pop("lanes")}
     if len(lanes) < len(described.lanes):
         raise ReaderError("two lanes have the same id")
+    if described.footways is None:
+        del road["footways"]
     return RoadMap(lanes=lanes, **{key: tuple(features) for key, features in road.items()})

@@ -341,7 +341,10 @@ def _build(scene: Scene, folder: Path) -> SumoNet:
     pieces = {key: tuple(row) for key, row in placed.pieces.items()}
     net = SumoNet(
         file=file,
-        additional=mapping.write_additional(scene.road, folder),
+        additional=mapping.write_additional(
+            [*scene.road.polygons, *scene.road.buildings, *scene.road.water],
+            folder / mapping.ADDITIONAL_FILE,
+        ),
         pieces=pieces,
         lane_of=placed.lane_of,
         signals=placed.signals,
@@ -479,7 +482,7 @@ def _parts(scene: Scene) -> Iterator[bytes]:
         yield repr(facts).encode()
         yield lane.centre_m.tobytes()
         yield lane.z_m.tobytes()
-    for shape in scene.road.polygons:
+    for shape in (*scene.road.polygons, *scene.road.buildings, *scene.road.water):
         yield f"{shape.kind} {shape.id}".encode()
         yield shape.points_m.tobytes()
     for sign in scene.road.stop_signs:

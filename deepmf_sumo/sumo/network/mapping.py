@@ -1,6 +1,7 @@
 """The files beside a converted network: which lane became which, polygons, a configuration."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +11,7 @@ import numpy as np
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.scene import ConversionReport, LanePiece, RoadMap, SignalLink, SumoNet
+from deepmf_sumo.scene import ConversionReport, LanePiece, Polygon, RoadMap, SignalLink, SumoNet
 from deepmf_sumo.sumo.network.plain_net import coordinates
 
 NET_FILE: Final = "net.net.xml"
@@ -90,20 +91,32 @@ _COLORS: Final = {
     "crosswalk": "220,220,220",
     "speed_bump": "230,190,60",
     "driveway": "120,120,110",
+    "building": "190,190,190",
+    "water": "170,205,230",
 }
+_ABOVE: Final = {"crosswalk", "speed_bump"}
+"""These are drawn on the lanes."""
 
 
-def write_additional(road: RoadMap, folder: Path) -> Path:
-    """Polygons of the road, on a layer above the lanes."""
+def beside(road: RoadMap) -> list[Polygon]:
+    """What a road has that its network does not say: buildings, water, areas of other files.
+
+    Crossings of a network are edges of it, and edges have names that begin with a colon.
+    """
+    added = [one for one in road.polygons if not one.id.startswith(":")]
+    return [*added, *road.buildings, *road.water]
+
+
+def write_additional(shapes: Sequence[Polygon], file: Path) -> Path:
+    """Polygons that sumo-gui draws, and that `road_of_net` takes."""
     lines = [
         f"    <poly id={quoteattr(shape.kind + '_' + shape.id)} type={quoteattr(shape.kind)} "
-        f'color="{_COLORS[shape.kind]}" fill="1" layer="{1 if shape.kind != "driveway" else -2}" '
+        f'color="{_COLORS[shape.kind]}" fill="1" layer="{1 if shape.kind in _ABOVE else -2}" '
         f'shape="{coordinates(np.vstack([shape.points_m, shape.points_m[:1]]))}"/>'
-        for shape in road.polygons
+        for shape in shapes
         if len(shape.points_m) > 2
     ]
     body = "\n".join(lines)
-    file = folder / ADDITIONAL_FILE
     file.write_text(
         f'<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n{body}\n</additional>\n',
         encoding="utf-8",

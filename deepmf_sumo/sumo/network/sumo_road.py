@@ -371,11 +371,12 @@ def _footways(net: NetFile, known: Container[str]) -> Iterator[Polygon]:
         if edge.function in {"crossing", "connector"}:
             continue
         for lane in edge.lanes:
-            shape = lane.shape_m
+            shape, kind = lane.shape_m, "footway"
             if edge.function != "walkingarea":
-                people = lane.allows("pedestrian") or lane.allows("tram")
-                if lane.id in known or not people or len(shape) < 2:
+                people = lane.allows("pedestrian")
+                if lane.id in known or not (people or lane.allows("tram")) or len(shape) < 2:
                     continue
+                kind = "footway" if people else "track"
                 left, right = (
                     _beside("", 0, lane.shape_m, side * lane.width_m / 2).points_m
                     for side in (1, -1)
@@ -384,7 +385,12 @@ def _footways(net: NetFile, known: Container[str]) -> Iterator[Polygon]:
                     [np.vstack([left, right[::-1]]), np.append(shape[:, 2], shape[::-1, 2])]
                 )
             if len(shape) > 2:
-                yield Polygon(id=lane.id, kind="footway", points_m=shape[:, :2], z_m=shape[:, 2])
+                yield Polygon(
+                    id=lane.id,
+                    kind=cast(PolygonKind, kind),
+                    points_m=shape[:, :2],
+                    z_m=shape[:, 2],
+                )
 
 
 def _polygons(file: Path) -> list[Polygon]:

@@ -344,6 +344,8 @@ class Excerpts:
         shapes += [one.points_m for one in (*road.lines, *road.edges)]
         shapes += [one.points_m for one in road.polygons]
         shapes += [sign.position_m.reshape(1, 2) for sign in road.stop_signs]
+        beside = (*road.buildings, *road.water, *(road.footways or ()))
+        shapes += [one.points_m for one in beside]
         self._tree = shapely.STRtree([_shape_of(shape) for shape in shapes])
 
     def near(self, path_m: Floats, radius_m: float) -> RoadMap:
@@ -369,6 +371,11 @@ class Excerpts:
                 for sign in road.stop_signs
                 if next(taken)
             ),
+            buildings=tuple(one for one in road.buildings if next(taken)),
+            water=tuple(one for one in road.water if next(taken)),
+            footways=None
+            if road.footways is None
+            else tuple(one for one in road.footways if next(taken)),
         )
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepmf_sumo.scene import Polyline, RoadMap, Scene
+from deepmf_sumo.scene import Polygon, Polyline, RoadMap, Scene
 from deepmf_sumo.scene.readers import Refusal, npz, read_by, womd
 
 from tests.support import recordings_by_hand as by_hand
@@ -59,6 +59,28 @@ def test_priorities_at_crossings_are_kept(scene, tmp_path):
     npz.write(dataclasses.replace(scene, road=road), tmp_path / "scene.npz")
     (back,) = read_by(npz, tmp_path / "scene.npz")
     assert back.road.lanes["100"].gives_way_to == ("a", "b")
+
+
+@pytest.mark.parametrize("footways", [None, (), ("footway", "track")])
+def test_what_is_beside_the_road_is_kept(scene, tmp_path, footways):
+    """An empty list says that the map has no sidewalks, none that nobody knows."""
+
+    def area(kind):
+        return Polygon(id=kind, kind=kind, points_m=np.eye(3, 2), z_m=np.arange(3.0))
+
+    walked = None if footways is None else tuple(map(area, footways))
+    road = replace(scene.road, buildings=(area("building"),), footways=walked)
+    changed = replace(scene, road=road)
+    npz.write(changed, tmp_path / "scene.npz")
+    (back,) = read_by(npz, tmp_path / "scene.npz")
+    assert_same(changed, back)
+
+
+def test_maps_without_it_are_written_as_before(scene, tmp_path):
+    npz.write(scene, tmp_path / "scene.npz")
+    with np.load(tmp_path / "scene.npz") as found:
+        road = json.loads(found["description"].tobytes())["road"]
+    assert set(road) == {"lanes", "lines", "edges", "polygons", "stop_signs"}
 
 
 def test_the_same_scene_is_the_same_file(scene, tmp_path):

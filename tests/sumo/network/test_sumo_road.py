@@ -226,6 +226,7 @@ def test_footways_are_the_sidewalks_and_walking_areas(tmp_path):
     lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
     walked = {one.getID(): one for one in lanes if one.getPermissions() == {"pedestrian"}}
     assert len(found) > 8
+    assert {one.kind for one in road_of_net(net_file).footways} == {"footway"}
     assert {*found} == {n for n, one in walked.items() if one.getEdge().getFunction() != "crossing"}
     for name, area in found.items():
         shape = walked[name].getShape()
@@ -235,3 +236,17 @@ def test_footways_are_the_sidewalks_and_walking_areas(tmp_path):
             line = shapely.LineString(shape)
             assert area.area == pytest.approx(2.0 * line.length, rel=1e-3)
             assert shapely.LineString(shape).buffer(0.9, cap_style="flat").within(area)
+
+
+def test_tracks_of_trams_are_told_from_sidewalks(tmp_path):
+    pavements.build(tmp_path)
+    text = (tmp_path / "pavements.net.xml").read_text()
+    begin = text.index('<lane id="wm_0"')
+    rails = text[begin:].replace('allow="pedestrian"', 'allow="tram"', 1)
+    (tmp_path / "rails.net.xml").write_text(text[:begin] + rails)
+    before, after = (
+        {one.id: one.kind for one in road_of_net(tmp_path / f"{name}.net.xml").footways}
+        for name in ("pavements", "rails")
+    )
+    assert before.keys() == after.keys()
+    assert {name for name in after if after[name] == "track"} == {"wm_0"}

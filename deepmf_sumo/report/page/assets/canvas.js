@@ -8,6 +8,8 @@ function palette() {
 
 /** Colours of the scores from 0 to 1, mixed in between. */
 const scoreStops = [];
+/** Name, kind of shapes, whether they are filled, width of edges, words: from the lowest. */
+const mapLayers = [];
 
 function scoreColour(score) {
   const place = Math.min(Math.max(score, 0), 1) * (scoreStops.length - 1),
@@ -70,7 +72,8 @@ function drawMoment(canvas, scene, camera, step, shown, candidate) {
   if (shown.driven) scene.main.forEach((agent) => drawDriven(brush, scene, agent, step));
   const scores = shown.scores && plan?.scores ? plan.scores : {};
   for (const agent of scene.agents) {
-    drawAgent(brush, agent, roleAt(scene, attackers, agent), step, scores);
+    const hollow = shown.unseen && isUnseen(agent, step);
+    drawAgent(brush, agent, roleAt(scene, attackers, agent), step, scores, hollow);
   }
   for (const contact of scene.contacts)
     if (step >= contact.step - 1e-6) drawContact(brush, contact);
@@ -92,21 +95,24 @@ function drawRoad({ context, colour, metre }, shapes) {
   context.setLineDash([]);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  for (const kind of ["junction", "lane", "crosswalk", "centre", "line", "edge"]) {
+  for (const [name, of, filled, width] of mapLayers) {
     for (const shape of shapes) {
-      if (shape.kind !== (kind === "centre" ? "lane" : kind)) continue;
+      if (shape.kind !== of) continue;
       trace(context, shape.points);
-      if (kind === "crosswalk" || kind === "junction") {
-        context.closePath();
-        context.fillStyle = colour(kind === "junction" ? "surface" : "centre");
-        context.fill("evenodd");
+      if (filled && shape.width) {
+        context.strokeStyle = colour(`map-${name}`);
+        context.lineWidth = shape.width;
+        context.stroke();
         continue;
       }
-      context.strokeStyle = colour(
-        { lane: "surface", centre: "centre", line: "line", edge: "edge" }[kind],
-      );
-      context.lineWidth =
-        kind === "lane" ? shape.width : kind === "edge" ? 1.4 * metre : 0.9 * metre;
+      if (filled) {
+        context.closePath();
+        context.fillStyle = colour(`map-${name}`);
+        context.fill("evenodd");
+      }
+      if (!width) continue;
+      context.strokeStyle = colour(`map-${name}-edge`);
+      context.lineWidth = width * metre;
       context.stroke();
     }
   }
@@ -185,10 +191,12 @@ function drawDriven({ context, colour, metre }, scene, agent, step) {
   line(context, points, colour(agent.role), 1.6 * metre);
 }
 
-function drawAgent({ context, colour, metre }, agent, role, step, scores) {
+/** A box with its front; hollow where the AV cannot see it. */
+function drawAgent({ context, colour, metre }, agent, role, step, scores, hollow) {
   const pose = poseAt(agent, step);
   if (!pose) return;
-  const [length, width] = agent.size,
+  const grown = Math.max(1, (6 * metre) / agent.size[0]); // people would be too small to be seen
+  const [length, width] = agent.size.map((side) => side * grown),
     score = scores[agent.id];
   context.save();
   context.translate(pose.x, pose.y);
@@ -199,19 +207,22 @@ function drawAgent({ context, colour, metre }, agent, role, step, scores) {
       : score === undefined
         ? colour("other")
         : scoreColour(score);
-  context.strokeStyle = colour(role === "other" ? "other-edge" : "contact");
-  context.lineWidth = 1 * metre;
+  context.strokeStyle = colour(role === "other" ? "other-edge" : hollow ? role : "contact");
+  context.lineWidth = (hollow ? 1.6 : 1) * metre;
   context.beginPath();
   context.rect(-length / 2, -width / 2, length, width);
-  context.fill();
+  if (!hollow) context.fill();
+  if (hollow) context.setLineDash([2.5 * metre, 2 * metre]);
   context.stroke();
+  context.setLineDash([]);
   context.beginPath(); // its front
   context.moveTo(length / 2, 0);
   context.lineTo(length / 4, width / 3);
   context.lineTo(length / 4, -width / 3);
   context.closePath();
   context.fillStyle = "rgba(255,255,255,0.75)";
-  context.fill();
+  if (hollow) context.stroke();
+  else context.fill();
   if (role === "opponent") drawStar({ context, colour, metre });
   context.restore();
 }

@@ -55,14 +55,12 @@ function chart(scene, end, title, series, highest, seek) {
     drawn("text", { x: left, y: 13 }, title),
     ...turnBands(scene, x, top, height - bottom),
     ...axes(scene, end, most, x, y),
-    ...scene.contacts.map((contact) =>
-      drawn("line", {
-        class: "contact",
-        x1: x(contact.step),
-        x2: x(contact.step),
-        y1: top,
-        y2: height - bottom,
-      }),
+    ...marks(scene).map(([name, step]) =>
+      drawn(
+        "line",
+        { class: name, x1: x(step), x2: x(step), y1: top, y2: height - bottom },
+        drawn("title", {}, name),
+      ),
     ),
     ...series.map((one) =>
       drawn("path", {
@@ -87,6 +85,12 @@ function chart(scene, end, title, series, highest, seek) {
     cursor.setAttribute("x2", x(Math.max(step, scene.now)));
   };
   return { element, move };
+}
+
+/** Steps that the charts mark. */
+function marks(scene) {
+  const contacts = scene.contacts.map((contact) => ["contact", contact.step]);
+  return scene.onset === null ? contacts : [["onset", scene.onset], ...contacts];
 }
 
 /** Points with a break where steps are missing: between two turns. */

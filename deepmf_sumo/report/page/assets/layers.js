@@ -8,11 +8,19 @@ const LAYERS = {
   candidates: "candidates",
   reactions: "predicted reactions of the AV",
   scores: "opponent scores",
+  unseen: "who is hidden from the AV",
+};
+
+/** What the planner knew of who is hidden, by the spec's key `av_sees`. */
+const SHOWN = {
+  in_sight: "The planner was not shown who is hidden.",
+  all: "The planner was shown everybody, hidden or not (av_sees: all).",
 };
 
 function layers(scene, draw) {
   const heat = scene.plans.some((plan) => plan.heat);
-  const missing = { lights: !scene.lights.length, heat: !heat };
+  const unseen = scene.agents.some((agent) => agent.unseen);
+  const missing = { lights: !scene.lights.length, heat: !heat, unseen: !unseen };
   const named = Object.entries(LAYERS).filter(([name]) => !missing[name]);
   const boxes = named.map(([name, label]) =>
     layer(label, playing.shown[name], (on) => {
@@ -56,15 +64,21 @@ function layers(scene, draw) {
       make("span", { class: "key", style: `background:linear-gradient(90deg,${ramp})` }),
       "others by score, 0 to 1; grey: none",
     ),
+    ...(unseen ? [key("other-edge", "hidden from the AV", "hollow"), hint(SHOWN[scene.sees])] : []),
+    ...mapLayers
+      .filter(([, of, , , words]) => words && scene.shapes.some((shape) => shape.kind === of))
+      .map(([name, , , , words]) => key(`map-${name}`, words)),
     make("p", {}, "× contact"),
     scene.hidden
-      ? make(
-          "p",
-          { class: "hint" },
+      ? hint(
           `Not drawn: ${counted(scene.hidden, "vehicle or person that never comes", "vehicles and persons that never come")} within 100 m.`,
         )
       : null,
   );
+}
+
+function hint(text) {
+  return text ? make("p", { class: "hint" }, text) : null;
 }
 
 function layer(label, checked, onchange) {

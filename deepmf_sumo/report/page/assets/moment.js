@@ -7,17 +7,28 @@ function momentText(scene, step) {
   for (const attacker of attackersAt(scene, step))
     if (attacker.drivers) parts.push(driven(attacker, "opponent"));
     else parts.push(`opponent: vehicle ${attacker.id}`);
+  if (scene.onset !== null && Math.round(step) === scene.onset) parts.push("onset: the danger shows");
   const conflict = conflictAt(scene, step);
   if (conflict) {
     const ttc = conflict.ttc === null ? "above 10 s or none" : `${fixed(conflict.ttc, 1)} s`;
     parts.push(`gap ${fixed(conflict.gap, 1)} m`, `TTC ${ttc}`);
   }
+  const unseen = unseenAt(scene, step);
+  if (unseen.length) parts.push(`hidden from the AV: ${unseenText(scene, unseen)}`);
   const met = scene.contacts.find((contact) => step >= contact.step);
   if (met)
     parts.push(
       `contact of ${met.first} and ${met.second} at ${met.speed.toFixed(1)} m/s relative speed`,
     );
   return parts.join(" · ");
+}
+
+/** Who is hidden: the attackers first, the others by their number. */
+function unseenText(scene, unseen) {
+  const main = unseen.filter((agent) => scene.main.includes(agent)).map((agent) => agent.id);
+  const others = unseen.length - main.length;
+  const rest = counted(others, main.length ? "other" : "road user", main.length ? "others" : "road users");
+  return [...main, ...(others ? [rest] : [])].join(", ");
 }
 
 /** What is known of a plan, and the choice of the candidate whose reactions are drawn. */

@@ -11,6 +11,7 @@ const playing = {
     candidates: true,
     reactions: true,
     scores: true,
+    unseen: true,
   },
   speed: "1",
   follow: false,
@@ -20,7 +21,7 @@ const playing = {
 class Player {
   constructor(scene) {
     this.scene = scene;
-    this.step = scene.now;
+    this.step = beginOf(scene);
     this.running = false;
     this.drawnAt = 0; // ms
     this.fitted = false; // when it is drawn
@@ -35,7 +36,7 @@ class Player {
       min: 0,
       max: scene.steps - 1,
       step: 1,
-      value: scene.now,
+      value: this.step,
       "aria-label": "step",
       oninput: (event) => this.seek(Number(event.target.value)),
     });
@@ -88,7 +89,7 @@ class Player {
     this.running = !this.running;
     this.button.textContent = this.running ? "Pause" : "Play";
     if (!this.running) return;
-    if (this.step >= this.scene.steps - 1) this.step = this.scene.now;
+    if (this.step >= this.scene.steps - 1) this.step = beginOf(this.scene);
     this.drawnAt = performance.now();
     requestAnimationFrame((now) => this.advance(now));
   }
@@ -134,7 +135,8 @@ class Player {
     const setSpeed = (value) => {
       playing.speed = value;
     };
-    const contact = this.scene.contacts[0];
+    const contact = this.scene.contacts[0],
+      { onset } = this.scene;
     return make(
       "div",
       { class: "controls" },
@@ -146,6 +148,7 @@ class Player {
         "speed ",
         choice(SPEEDS, playing.speed, setSpeed, (value) => `${value} ×`),
       ),
+      onset === null ? null : press("To the onset", () => this.seek(onset)),
       contact ? press("To the contact", () => this.seek(contact.step)) : null,
       press("+", () => this.camera.zoom(1.25), "Zoom in"),
       press("−", () => this.camera.zoom(0.8), "Zoom out"),

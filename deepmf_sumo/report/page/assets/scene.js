@@ -18,6 +18,8 @@ function sceneOf(details, road) {
     ...replay,
     agents,
     turns: details.turns,
+    onset: details.onset ?? null,
+    sees: details.sees,
     av: agents.find((agent) => agent.role === "av"),
     opponent: agents.find((agent) => agent.role === "opponent"),
     supporters: agents.filter((agent) => agent.role === "supporter"),
@@ -87,6 +89,17 @@ function poseAt(agent, step) {
     return { x: between(part.x), y: between(part.y), heading: between(part.heading) };
   }
   return null;
+}
+
+/** Whether the AV cannot see an agent at a step. */
+function isUnseen(agent, step) {
+  const at = Math.floor(step + 1e-6);
+  return (agent.unseen ?? []).some(([first, last]) => first <= at && at <= last);
+}
+
+/** Who is there at a step, and hidden from the AV. */
+function unseenAt(scene, step) {
+  return scene.agents.filter((agent) => isUnseen(agent, step) && poseAt(agent, step));
 }
 
 /** Speed in m/s at a step, null where the agent is not there. */

@@ -88,6 +88,7 @@ function start() {
   const content = JSON.parse(stored("content"));
   readRuns(content);
   scoreStops.push(...content.scores);
+  mapLayers.push(...content.layers);
   nameTheme();
   showOrigin(content);
   byId("views").hidden = !(content.maps.length && runs.all.length);

@@ -58,6 +58,12 @@ function attackersOf(scene) {
   return together ? scene.turns.map((one) => one.opponent).join(", ") : "whose turn it is";
 }
 
+/** Where a replay begins: where the danger of a hit shows, else at the beginning of the attack. */
+function beginOf(scene) {
+  const turn = (scene.turns ?? []).find((one) => one.decisive);
+  return scene.onset ?? (turn ? stepAt(scene, turn.begin) : scene.now);
+}
+
 /** The step at a time after the start. */
 function stepAt(scene, seconds) {
   return Math.round(scene.now + seconds / scene.dt);
