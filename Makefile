@@ -161,8 +161,11 @@ test-docs: docs  ## run the commands and Python of README and site; count words,
 	$(PYTEST) -q -n 2 --dist worksteal tests/docs tests/cli/test_commands_of_the_docs.py
 	$(PY) -m tests.docs.counts
 
+numbers: $(READY)  ## make the measured numbers of README and site again, in hours (NAMES=, SCENES_DIR=, OUT=)
+	$(PY) -m studies.numbers $(NAMES) --out $(or $(OUT),.cache/numbers) $(if $(SCENES_DIR),--scenes $(SCENES_DIR))
+
 gallery: $(READY)  ## make the pictures of README and docs/gallery.md again
 	$(PY) -m tests.docs.gallery
 	$(PY) -m tests.docs.front_page
 
-.PHONY: help setup run quick test tests lint-and-types test-slow golden fuzz signals release lock lint types types-elsewhere protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs gallery
+.PHONY: help setup run quick test tests lint-and-types test-slow golden fuzz signals release lock lint types types-elsewhere protos nets bench train open-scenes open-test-scenes reactions open-weights womd-weights womd-light-weights womd-dense-weights womd-baselines docs test-docs numbers gallery

@@ -1,0 +1,1 @@
+"""Every measured number of README and site, made again by one command."""
