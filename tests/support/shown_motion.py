@@ -51,13 +51,14 @@ class Recorded:
     """A run of plain traffic.
 
     ``changes``: times and lanes of SUMO's own ``--lanechange-output``. ``lines`` and ``areas``:
-    centre lines and outlines of the lanes that vehicles were on.
+    centre lines and outlines of the lanes that vehicles were on. ``onto``: where a lane leads.
     """
 
     vehicles: dict[str, Vehicle]
     changes: dict[str, list[tuple[float, str]]]
     lines: dict[str, shapely.LineString]
     areas: dict[str, shapely.Geometry]
+    onto: dict[str, list[str]]
 
 
 @dataclass
@@ -111,7 +112,7 @@ def compare(config: Path, until_s: float, options: tuple[str, ...] = (), most: i
 
 
 def _record(config: Path, until_s: float, options: tuple[str, ...], most: int) -> Recorded:
-    recorded = Recorded(defaultdict(Vehicle), defaultdict(list), {}, {})
+    recorded = Recorded(defaultdict(Vehicle), defaultdict(list), {}, {}, {})
     motions: dict[str, ShownMotion] = {}
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "changes.xml"
@@ -150,6 +151,7 @@ def _note(api, name: str, motions: dict[str, ShownMotion], recorded: Recorded) -
             line = recorded.lines[one] = shapely.LineString(api.lane.getShape(one))
             half_m = api.lane.getWidth(one) / 2
             recorded.areas[one] = line.buffer(half_m, cap_style="flat", join_style="mitre")
+            recorded.onto[one] = [link[0] for link in api.lane.getLinks(one)]
 
 
 def _judge(
@@ -180,7 +182,10 @@ def _judge(
     for step in np.flatnonzero((sumos > _JUMP_M) & ~changing[1:]) + 1:
         row.jumps += 1
         changing |= (time >= time[step]) & (time < time[step] + _JUMP_S)
-    lanes = {*vehicle.lanes, *(lane for _, lane in changes if lane in recorded.areas)} - {""}
+    left = {lane for _, lane in changes}
+    # a change inside a short junction ends behind it, beside the lane that the one before led to
+    left |= {onto for lane in left for onto in recorded.onto.get(lane, ()) if lane[0] == ":"}
+    lanes = {*vehicle.lanes, *(lane for lane in left if lane in recorded.areas)} - {""}
     used = shapely.union_all([recorded.areas[lane] for lane in lanes])
     beyond, beyond_sumo = (shapely.distance(used, shapely.points(each)) for each in (shown, own))
     row.note(
