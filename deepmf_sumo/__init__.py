@@ -15,6 +15,8 @@ What ``__all__`` lists is public; everything else may change.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from deepmf_sumo import _moved
+
 if TYPE_CHECKING:
     from deepmf_sumo.api import attack, read_scenes, run
     from deepmf_sumo.deepmf.networks.weights import load as load_predictors
@@ -46,6 +48,8 @@ _PLACES = {
     "read_scenes": ("api", "read_scenes"),
     "run": ("api", "run"),
 }
+
+_moved.install()
 
 
 def __getattr__(name: str) -> Any:
