@@ -213,6 +213,17 @@ def worst(risk: Path, kinds: set[str]) -> list[dict[str, str]]:
     return sorted(rows, key=lambda row: -float(row["risk_hit_lo"]))
 
 
+def around(shapes: list[np.ndarray]) -> ViewWindow:
+    """A square with all shapes; if they are too far apart, that with most of their corners."""
+    there = np.concatenate(shapes)
+    begin, end = there.min(axis=0), there.max(axis=0)
+    side_m = float((end - begin).max()) + MARGIN_M
+    if side_m <= NEAR_M:
+        return square((begin + end) / 2, side_m)
+    inside = [(np.abs(there - corner).max(axis=1) < NEAR_M / 2).sum() for corner in there]
+    return square(there[int(np.argmax(inside))], NEAR_M)
+
+
 def risk_map(results: Results, path: Path) -> None:
     """The worst places, the whole network, and their names."""
     risk = results.folders[0] / "risk"
@@ -224,10 +235,8 @@ def risk_map(results: Results, path: Path) -> None:
     names = tuple(
         f"risk.{one['kind']}.{one['place']}." for one in worst(risk, {"movement", "edge"})[:WORST]
     )
-    there = np.concatenate([shape for name, (_, shape) in found.items() if name.startswith(names)])
-    begin, end = there.min(axis=0), there.max(axis=0)
-    side_m = min(float((end - begin).max()) + MARGIN_M, NEAR_M)
-    near, whole = square((begin + end) / 2, side_m), ViewWindow(x0=x0, x1=x1, y0=y0, y1=y1)
+    shapes = [shape for name, (_, shape) in found.items() if name.startswith(names)]
+    near, whole = around(shapes), ViewWindow(x0=x0, x1=x1, y0=y0, y1=y1)
     figure, high = canvas(SIDE_IN, SIDE_IN + TITLE_IN), SIDE_IN + TITLE_IN
     axes = figure.add_axes((0, 0, 1, SIDE_IN / high))
     inset = figure.add_axes(
