@@ -19,6 +19,8 @@ MESSAGES: Final = "sumo-messages.log"
 _LARGEST: Final = 2**24
 _MOST: Final = 5
 _PARTICULARS: Final = re.compile(r"'[^']*'|\d+(\.\d+)?")
+_DETOUR: Final = re.compile(r"(?:\.\./){16,}(?:[^/']+/)*")
+"""In names of outputs: up to / and down to the folder where they are kept (`sumo_outputs`)."""
 
 
 def to_file(folder: Path) -> tuple[str, str]:
@@ -43,7 +45,8 @@ def before(reason: str, folder: Path) -> str:
     said = [text for text in dict.fromkeys(found) if not text.startswith("Quitting")]
     words = [text for text in said if text not in reason]
     last = [] if any(reason in text for text in words) else [reason]
-    return " ".join(one if one.endswith((".", "!")) else f"{one}." for one in [*words, *last])
+    whole = " ".join(one if one.endswith((".", "!")) else f"{one}." for one in [*words, *last])
+    return _DETOUR.sub("", whole)
 
 
 def warnings_in(folder: Path) -> tuple[str, ...]:

@@ -72,6 +72,16 @@ def test_an_error_names_what_sumo_names(fault, tmp_path, capsys):
 
 
 @pytest.mark.sumo
+def test_an_output_in_a_folder_that_is_not_there_is_named_as_sumo_names_it(tmp_path, capsys):
+    config = config_of(tmp_path)
+    output = '<output><statistic-output value="res/stat.xml"/></output></configuration>'
+    config.write_text(config.read_text().replace("</configuration>", output))
+    (said,) = [one for one in said_by_sumo(config)["Error"] if one]
+    assert main.run(["attack", str(config), "--moments", "1", "--out", str(tmp_path / "out")]) == 3
+    assert said.rstrip(".") in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.sumo
 def test_an_error_on_the_way_to_a_start_names_what_sumo_names(tmp_path):
     config = config_of(tmp_path, WRONG["an id after a vehicle that it takes"])
     case = SimpleNamespace(config=config, sumo_options=(), seed=1, start_s=100.0)
