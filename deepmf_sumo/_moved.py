@@ -28,11 +28,13 @@ MOVED: Final = {
     "plans": "study.plans",
     "predictors": "deepmf.networks",
     "readers": "scene.readers",
+    "recording": "training.recording",
     "risk": "results.risk",
     "screening": "roadcheck.screening",
     "shrink": "study.shrink",
     "simulation": "sumo.simulation",
     "sweep": "study.sweep",
+    "tasks": "spec.tasks",
 }
 """By the first name below the package: where it is now."""
 _PACKAGE: Final = __name__.partition(".")[0]

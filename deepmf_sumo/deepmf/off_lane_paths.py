@@ -4,10 +4,10 @@ A pedestrian or a cyclist gets to a goal by going on straight, a turn of the lea
 speed allows (pedestrians at rest turn freely), and straight on from there; past the goal it goes on
 straight. What differs is when and how fast:
 
-- ``goal``: now, at the constant speed that arrives in time; the turn begins at once, or where
-  the person is abreast of the goal, or half way to there.
-- ``wait``: it stops, or stands, and sets off later, at a usual speed: who waits at the kerb steps
-  out when it matters.
+- ``goal``: now, at the constant speed that arrives in time; the turn begins immediately, or
+  where the person is abreast of the goal, or half way to there.
+- ``wait``: it stops, or stands, and sets off later, at a usual speed: a person that waits at
+  the kerb steps out when it matters.
 - ``halt``: it gets there before the AV, and stays.
 - ``return``: a pedestrian crosses the AV's way, turns back, and meets it then.
 
@@ -15,10 +15,9 @@ Usual speeds are those of the class (`scene.road_users`). Goals that need more t
 dropped.
 
 Candidates of people stay where people can be (`scene.geometry.walkable`). A reference that leads
-off this ground stops at its end; a candidate that leaves it all the same is none. That is no wish:
-nobody walks through a house. Who is elsewhere now, since a recording, SUMO or a spec put it there,
-may be there until it comes onto this ground; a building or water that it has left, or is not in, it
-does not enter.
+off this ground stops at its end; a motion that leaves it anyway is not a candidate. No setting
+changes this. A person that is elsewhere now, because a recording, SUMO or a spec put it there, may
+be there until it comes onto this ground; it does not enter a building or water that it is not in.
 """
 
 from dataclasses import dataclass, fields, replace

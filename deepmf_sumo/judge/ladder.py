@@ -12,11 +12,11 @@
 Hits by pedestrians and cyclists have rules of their own where those of vehicles make no sense:
 
 - **Errors of the AV**: it strikes a person who stood on the road, in sight, for 2.5 s; it runs a
-  red light; it left the road, and hits somebody there; it hits somebody on a pedestrian crossing,
+  red light; it left the road and hits a person there; it hits a person on a pedestrian crossing,
   unless its light let it go straight on (what a crossing's light was is inferred from the AV's, see
   `crossings`). A cyclist who rode on the road has the rights of a vehicle, too. Not giving way at a
-  crossing is an error only where the driver of `avoidability.intention` would have: nobody gives
-  way to whom nobody could see.
+  crossing is an error only where the driver of `avoidability.intention` would have: a driver
+  cannot give way to a person that it cannot see.
 - **Errors of the person**: a pedestrian stepped, a cyclist rode, onto the road where there is no
   crossing, or against a light; a cyclist rode against the traffic. Pedestrians have no direction of
   traffic, and no place is off the road for them: beside it is where they belong.

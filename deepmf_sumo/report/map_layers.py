@@ -53,7 +53,7 @@ _EDGE: Final = Shade("#6f7884", "#8b95a1")
 LAYERS: Final = (
     MapLayer(name="water", of="water", fill=Shade("#cfe3f2", "#1a3142"), words="water"),
     MapLayer(
-        name="building", of="building", words="buildings: they hide who is behind them",
+        name="building", of="building", words="buildings: they hide road users",
         fill=Shade("#dadada", "#3a3a3c"), edge=Shade("#a9a9ab", "#66666a"), edge_pt=0.8,
     ),
     MapLayer(

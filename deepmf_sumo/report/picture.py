@@ -67,7 +67,7 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
         _contact(axes, rollout, contact, window)
     _finish(axes, window, _title(rollout, case, contact), north=isinstance(case, TrafficCase))
     handles = [*_handles(rollout, scores, plan), *_map_handles(case.road, window)]
-    # below the map: in it, it hides somebody
+    # below the map: on it, it would hide road users
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(path, metadata={"Software": None})
 

@@ -174,7 +174,7 @@ def _unseen(rollout: Rollout, rows: Ints, road: RoadMap) -> list[list[list[int]]
     tracks = rollout.tracks.select(rows.tolist())
     av = tracks.row(rollout.av_id)
     steps = np.arange(rollout.now, tracks.steps, OTHERS_EVERY)
-    unseen = np.zeros((tracks.agents, len(steps) + 2), bool)  # nobody is hidden before and after
+    unseen = np.zeros((tracks.agents, len(steps) + 2), bool)  # none is hidden before and after
     for place, step in enumerate(steps.tolist(), start=1):
         if tracks.valid[av, step]:
             seen = sight.visible(tracks, step, av, road)

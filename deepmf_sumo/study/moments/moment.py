@@ -1,7 +1,7 @@
 """Where and when a vehicle is attacked: what is asked for, and what is found.
 
 Who walks into an AV that stands in a queue says nothing about the AV. Attacks by people begin where
-it drives for most of the time that they have, and where somebody can get onto its way in time.
+it drives for most of the time that they have, and where a person can get onto its way in time.
 """
 
 import difflib
@@ -27,7 +27,7 @@ Preference = Literal["both", "spread", "encounters"]
 _DRIVES_MPS: Final = 3.0
 _MOST: Final = 0.75
 _FIRST_S: Final = 2
-"""Sooner nobody gets onto its way."""
+"""No person gets onto its way sooner."""
 _SETS_OFF_S: Final = 1.0
 _EITHER_S: Final = 0.01
 _NEAR_M: Final = 1.0
@@ -399,7 +399,7 @@ def drives(sightings: Sightings, duration_s: float) -> Bools:
     """(K) whether it drives at 3 m/s or more at three quarters of the seconds of an attack."""
     later, seconds = _Later(sightings, duration_s), range(1, max(round(duration_s), 1) + 1)
     fast = [later(sightings.speed_mps, second) >= _DRIVES_MPS for second in seconds]
-    driven: Bools = np.mean(fast, axis=0) >= _MOST  # who has left does not drive
+    driven: Bools = np.mean(fast, axis=0) >= _MOST  # a vehicle that has left does not drive
     return driven
 
 

@@ -444,7 +444,7 @@ def _unwritten(
 
 
 def _unheard(store: Store, tasks: Sequence[Task]) -> dict[str, Result]:
-    """Runs that succeeded while an interrupt or their worker's end came: it told nobody."""
+    """Runs that succeeded, though an interrupt or their worker's end came before it said so."""
     written = ((task, store.earlier(task)) for task in tasks)
     return {task.run_id: one for task, one in written if one and one["key"] == task.key}
 

@@ -8,12 +8,12 @@ const LAYERS = {
   candidates: "candidates",
   reactions: "predicted reactions of the AV",
   scores: "opponent scores",
-  unseen: "who is hidden from the AV",
+  unseen: "hidden from the AV",
 };
 
-/** What the planner knew of who is hidden, by the spec's key `av_sees`. */
+/** What the planner knew of hidden road users, by the spec's key `av_sees`. */
 const SHOWN = {
-  in_sight: "The planner was not shown who is hidden.",
+  in_sight: "The planner was not shown hidden road users.",
   all: "The planner was shown everybody, hidden or not (av_sees: all).",
 };
 

@@ -23,7 +23,7 @@ function momentText(scene, step) {
   return parts.join(" · ");
 }
 
-/** Who is hidden: the attackers first, the others by their number. */
+/** Hidden road users: the attackers first, the others by their number. */
 function unseenText(scene, unseen) {
   const main = unseen.filter((agent) => scene.main.includes(agent)).map((agent) => agent.id);
   const others = unseen.length - main.length;

@@ -97,7 +97,7 @@ function isUnseen(agent, step) {
   return (agent.unseen ?? []).some(([first, last]) => first <= at && at <= last);
 }
 
-/** Who is there at a step, and hidden from the AV. */
+/** Road users that are there at a step, and hidden from the AV. */
 function unseenAt(scene, step) {
   return scene.agents.filter((agent) => isUnseen(agent, step) && poseAt(agent, step));
 }
