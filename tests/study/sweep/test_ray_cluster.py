@@ -117,13 +117,15 @@ def test_a_lost_machine_costs_its_run_a_second_try(machines, tiny, tmp_path, mon
         spec.load(tiny_network.spec(own, f"waits {number}", seed=str(number), planner=planner))
         for number in range(4)
     ]
-    go = own / "go"
+    said = own.with_suffix(".said")
+    said.mkdir()
+    go = said / "go"
     go.touch()
     run(waiting, tmp_path / "here")
     go.unlink()
 
     def lose():
-        while len(list(own.glob("waits-*"))) < MACHINES:
+        while len(list(said.glob("waits-*"))) < MACHINES:
             time.sleep(0.1)
         machines.tell("lose")
         while not any(progress.lost for progress in seen):  # Ray's processes take their time to die
@@ -131,7 +133,7 @@ def test_a_lost_machine_costs_its_run_a_second_try(machines, tiny, tmp_path, mon
         go.touch()
 
     seen = []
-    for old in own.glob("waits-*"):
+    for old in said.glob("waits-*"):
         old.unlink()
     threading.Thread(target=lose, daemon=True).start()
     results = run(waiting, tmp_path / "lost", seen.append, executor=machines.name)
