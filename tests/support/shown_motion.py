@@ -24,6 +24,9 @@ _CHANGE_S = 0.05, 3.05
 _JUMP_S = 1.55
 _JUMP_M = 0.3
 """After a larger step of SUMO to the side without a lane change poses may differ."""
+_WIDE_JUMP_M = 0.8
+"""After a larger step of SUMO's centre to the side a shown vehicle comes from the lane beside: it
+stays on the road."""
 _TURN_RAD = 0.6
 """A vehicle whose heading changes by more within 5 s makes a turn."""
 _TELEPORT_M = 8.0
@@ -75,7 +78,8 @@ class Row:
             spread change than SUMO's: in bends SUMO's is too.
         back_m: largest step of a shown centre away from the new lane during a change, with its rear
             on their edge: before, it swings in from the edge before, as it does without a change.
-        beyond_m: how much farther beyond the lanes it used a shown centre is than SUMO's.
+        beyond_m: how much farther beyond the lanes it used a shown centre is than SUMO's; in the
+            1.5 s after a jump of more than 0.8 m to the side, beyond the road.
         beyond_sumo_m: how far SUMO's own centre is beyond them.
         sideways_m, sideways_sumo_m: largest step sideways outside lane changes.
         more_sideways_m: how much larger a vehicle's largest step sideways is than SUMO's of it.
@@ -179,10 +183,13 @@ def _judge(
             steps = np.diff(ways[:, 1])
             row.note(between_m=ways[:, 0].max(initial=0), back_m=np.nanmax(steps, initial=0))
     apart = np.hypot(*(shown - own).T)
+    left = {lane for _, lane in changes}
     for step in np.flatnonzero((sumos > _JUMP_M) & ~changing[1:]) + 1:
         row.jumps += 1
-        changing |= (time >= time[step]) & (time < time[step] + _JUMP_S)
-    left = {lane for _, lane in changes}
+        jumping = (time >= time[step]) & (time < time[step] + _JUMP_S)
+        changing |= jumping
+        if sumos[step - 1] > _WIDE_JUMP_M:
+            left |= {one for at in np.flatnonzero(jumping) for one in _road(recorded, vehicle, at)}
     # a change inside a short junction ends behind it, beside the lane that the one before led to
     left |= {onto for lane in left for onto in recorded.onto.get(lane, ()) if lane[0] == ":"}
     lanes = {*vehicle.lanes, *(lane for lane in left if lane in recorded.areas)} - {""}
@@ -196,6 +203,12 @@ def _judge(
         sideways_sumo_m=sumos[~changing[1:]].max(initial=0),
         more_sideways_m=ours.max() - sumos.max(),
     )
+
+
+def _road(recorded: Recorded, vehicle: Vehicle, step: int) -> set[str]:
+    """All lanes of the edge that a vehicle is on: a jump over half a lane goes by those beside."""
+    edge = vehicle.lanes[step].rpartition("_")[0]
+    return {one for one in recorded.areas if one.rpartition("_")[0] == edge}
 
 
 def _ways(

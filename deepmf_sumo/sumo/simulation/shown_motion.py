@@ -310,7 +310,9 @@ def _jump(
     """What of a step is a jump to the side; None if motion explains all of it.
 
     A bumper jumps that moves to the side of its lane and of its last step: at a kink of its lane it
-    moves to the side of the lane alone. ``aside`` (2): left of the lane.
+    moves to the side of the lane alone. While the front does not jump, a turn explains as much of
+    the rear as the vehicle drives: the rear of a train swings far out where its locomotive turns.
+    ``aside`` (2): left of the lane.
     """
     way_m = (abs(before.speed_mps) + abs(now.speed_mps)) / 2 * DT_S
     starts, ends = _bumpers(before, length_m), _bumpers(now, length_m)
@@ -325,7 +327,8 @@ def _jump(
         -side if min(abs(side), _off_course(origin, start, end)) > least_m else 0.0
         for side, origin, start, end in zip(sides, last, starts, ends, strict=True)
     ]
-    return Jump(*jumps) if any(jumps) else None
+    swings = jumps[0] == 0.0 and abs(sides[1]) <= way_m
+    return Jump(*jumps) if any(jumps) and not swings else None
 
 
 def _off_course(origin: Floats | None, start: Floats, end: Floats) -> float:
