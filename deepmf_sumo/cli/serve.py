@@ -1,7 +1,7 @@
 """``deepmf-sumo serve``: a port that looks like SUMO's, with attacks behind it."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,8 +32,9 @@ _SUMO_ENDS_S: Final = 5.0
     params=[one for one in attach.command.params if one.name not in _OTHERS],
 )
 @click.argument(
-    "config", metavar="CONFIG", type=click.Path(exists=True, dir_okay=False, path_type=Path)
-)
+    "config", metavar="[CONFIG]", required=False,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+)  # fmt: skip
 @click.option(
     "--port", "--remote-port", "-p", type=click.IntRange(0, 65535), default=8813,
     show_default=True, help="Listen on this port of this machine; 0 takes a free one.",
@@ -43,7 +44,7 @@ _SUMO_ENDS_S: Final = 5.0
 def command(
     ctx: click.Context,
     /,
-    config: Path,
+    config: Path | None,
     port: int,
     gui: bool,
     out: Path,
@@ -57,7 +58,9 @@ def command(
     The client connects, steps and drives its vehicle as with SUMO alone; it needs neither setOrder
     nor another number of clients. Attacks happen in its steps. After load, SUMO starts anew, and
     attacks go on there. Ends when the client has left; the results are as attach writes them. A
-    script may also start it, with traci.start, in place of SUMO.
+    script may also start it, with traci.start, in place of SUMO, and without CONFIG if SUMO's
+    options name the network. SUMO steps by at most 0.1 s: it makes several steps in a longer one of
+    the client.
     """
     from deepmf_sumo import live
     from deepmf_sumo.cli._keys import LIVE, LiveKeys, taken
@@ -67,7 +70,8 @@ def command(
 
     keys, rest = taken(sets, LiveKeys, LIVE)
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
-    _check_step(config, options)
+    if config is None and not options:
+        raise click.UsageError("Missing CONFIG, or SUMO's options with a network behind --.")
     wish = live.AttackRequest(sets=tuple(rest), pause_s=keys.pause_s, **given)
     with (
         closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
@@ -76,6 +80,7 @@ def command(
         prepared.record.written_by_sumo() as written,
         live.SumoServer(config, port, written, options, gui=gui) as server,
     ):
+        prepared.record.client_step_s = server.client_step_s
         whole = Stay(until_s=until_s, attacks=keys.attacks, patience_s=float("inf"))
         sessions = partial(_simulations, server, prepared, whole, stopped, tell, watch)
         _served(server, prepared, stopped, sessions, partial(_show, wish.avs, out))
@@ -88,17 +93,14 @@ def command(
     ctx.exit(code if server.joined else exit_code("interrupted"))
 
 
-def _check_step(config: Path, options: Sequence[str]) -> None:
-    """Raise what is wrong with the step length before a client comes."""
-    from deepmf_sumo.live.session import parts_of_a_step
-    from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
-
-    given_s = _step_length(options)
-    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
-        step_s = read_configuration(config).step_s
-        given_s = step_s if given_s is None else given_s
-    if given_s is not None:
-        parts_of_a_step(given_s)
+def _tell_steps(server: "SumoServer") -> None:
+    """Say where SUMO's steps are not those that were asked for."""
+    if server.client_step_s is not None:
+        click.echo(
+            f"SUMO steps by 0.1 s in place of {server.client_step_s:g} s; a step of the client is"
+            f" {server.client_step_s:g} s. Compare with SUMO at --step-length 0.1.",
+            err=True,
+        )
 
 
 def _served(
@@ -112,6 +114,7 @@ def _served(
     from deepmf_sumo.cli._screen import tell_jump, tell_switch
 
     click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
+    _tell_steps(server)
     prepared.record.switched = tell_switch
     prepared.record.jumped = tell_jump
     server.await_client(stopped)
@@ -163,16 +166,6 @@ def _simulations(
         more = not stopped() and server.load()
         if more:
             click.echo("the client has loaded another simulation", err=True)
-
-
-def _step_length(options: Sequence[str]) -> float | None:
-    """The step length on SUMO's command line; None where it has none that can be read here."""
-    for place, word in enumerate(options):
-        name, equals, value = word.partition("=")
-        if name == "--step-length":
-            with suppress(ValueError):
-                return float(value if equals else (options[place + 1 :] or [""])[0])
-    return None
 
 
 def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:

@@ -190,6 +190,7 @@ class SessionRecord:
         rows: the attacks. switches: when new attacks were turned off and on, as in
             ``session.json``. switched: called with each of them; may be replaced.
         jumps: of SUMO's time. jumped: called with each of them; may be replaced.
+        client_step_s: of the client of `serve`, where SUMO steps by 0.1 s in its place.
 
     Raises OutputError if the folder cannot be written, is in use, or contains something else, or
     earlier results without ``overwrite``.
@@ -209,6 +210,7 @@ class SessionRecord:
         self.jumps: list[dict[str, Any]] = []
         self.jumped: Callable[[dict[str, Any]], None] = lambda _: None
         self.switched: Callable[[dict[str, Any]], None] = lambda _: None
+        self.client_step_s: float | None = None
         self.simulations = 0
         self._now: tuple[str, float | None] = ("going on", None)
         self._writing = threading.Lock()
@@ -316,6 +318,7 @@ class SessionRecord:
                 "time_s": time_s,
                 "attacks": len(self.rows),
                 "simulations": self.simulations,
+                "client_step_s": self.client_step_s,
                 "switches": self.switches,
                 "jumps": self.jumps,
             }

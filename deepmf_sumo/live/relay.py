@@ -34,7 +34,9 @@ from deepmf_sumo.live.observer import MARK
 from deepmf_sumo.sumo.simulation.sumo_outputs import confined
 
 LOAD, STEP, ORDER, CLOSE, HALF_STEP = 0x01, 0x02, 0x03, 0x7F, 0x7D
+GET_SIMULATION: Final = 0xAB
 """TraCI's numbers of commands."""
+_TIME, _STEP_LENGTH, _DOUBLE = 0x66, 0x7B, 0x0B
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
 Kind = Literal["joined", "unused", "left", "load", "complaint", "stuck"]
@@ -56,6 +58,7 @@ _ANSWER_S: Final = 20.0
 _AWAKE_S: Final = 0.001
 _PIECE: Final = 2**16
 _INT: Final = struct.Struct("!i")
+_FLOAT: Final = struct.Struct("!d")
 
 
 class ProtocolError(Exception):
@@ -131,7 +134,7 @@ class Wire:
 
 def relay(
     listener: socket.socket, inner: int, parent: Connection, sumo_pid: int, folder: Path,
-    *, gui: bool = False,
+    *, gui: bool = False, step_s: float | None = None,
 ) -> None:  # fmt: skip
     """One client's life; others that come meanwhile are turned away. Then the process ends.
 
@@ -139,20 +142,21 @@ def relay(
         listener: where the client comes.
         inner: SUMO's port on this machine.
         parent: what happens is told there; after ``load`` it answers with the port and the process
-            of the SUMO that it has started.
+            of the SUMO that it has started, and with ``step_s``.
         sumo_pid: SUMO's process, which ends where the parent is killed.
         folder: for files that the client has SUMO write.
         gui: it is sumo-gui, which does not answer while its user pauses it.
+        step_s: of the client's steps without an end of their own; None: they are SUMO's.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
     pids = [sumo_pid]
     threading.Thread(target=_end_with_parent, args=(pids,), daemon=True).start()
-    _serve(listener, inner, parent, pids, folder, gui=gui)
+    _serve(listener, inner, parent, pids, folder, gui=gui, step_s=step_s)
 
 
 def _serve(
     listener: socket.socket, inner: int, parent: Connection, pids: list[int], folder: Path,
-    *, gui: bool = False,
+    *, gui: bool = False, step_s: float | None = None,
 ) -> None:  # fmt: skip
     one_at_a_time = threading.Lock()
 
@@ -167,7 +171,7 @@ def _serve(
         outside = Wire(client)
         watched = None if gui else outside
         try:
-            with contextlib.closing(_Sumo(inner, parent, pids, tell, watched)) as sumo:
+            with contextlib.closing(_Sumo(inner, parent, pids, tell, watched, step_s)) as sumo:
                 _pass_on(outside, _Filter(sumo, folder), tell)
         except StuckError as error:
             tell("complaint", f"SUMO was ended: {error}")
@@ -183,12 +187,15 @@ class _Sumo:
     """SUMO as its first client, which `load` replaces by another. Raises OSError, EOFError.
 
     ``client``: whom SUMO has to answer; None: it is waited for without a limit.
+    ``step_s``: of the client's steps; None: they are SUMO's.
     """
 
     def __init__(
-        self, inner: int, parent: Connection, pids: list[int], tell: Tell, client: Wire | None
-    ) -> None:
+        self, inner: int, parent: Connection, pids: list[int], tell: Tell, client: Wire | None,
+        step_s: float | None,
+    ) -> None:  # fmt: skip
         self._parent, self._pids, self._tell, self._client = parent, pids, tell, client
+        self.step_s = step_s
         self._join(inner)
 
     def _join(self, inner: int) -> None:
@@ -227,7 +234,7 @@ class _Sumo:
         self._tell("load", json.dumps(arguments))  # before SUMO knows: `attach` goes on immediately
         self.asked(_command(CLOSE, b""), may_take_long=True)
         self.close()
-        inner, self._pids[0] = self._parent.recv()
+        inner, self._pids[0], self.step_s = self._parent.recv()
         self._join(inner)
 
     def close(self) -> None:
@@ -244,7 +251,7 @@ class _Filter:
     def answered(self, body: bytes) -> bytes:
         """The answer to the commands of a message."""
         commands = list(commands_of(body))
-        if any(number_of(one) in _OURS for one in commands):
+        if self._sumo.step_s is not None or any(number_of(one) in _OURS for one in commands):
             return b"".join(self._answer(one) for one in commands)
         return self._sumo.asked(body)
 
@@ -266,7 +273,10 @@ class _Filter:
         except RefusedError as why:
             return _refused(number, f"{why}.")
         if number == STEP:
-            return _without_ours(self._sumo.asked(command, may_take_long=True))
+            whole = _until(command, self._sumo)
+            return _without_ours(self._sumo.asked(whole, may_take_long=True))
+        if self._sumo.step_s is not None and _asks_step_length(command):
+            return _done(GET_SIMULATION) + _simulation_value(_STEP_LENGTH, self._sumo.step_s)
         return self._sumo.asked(command, may_take_long=number == CLOSE)
 
     def _load(self, command: bytes) -> bytes:
@@ -277,6 +287,27 @@ class _Filter:
             return _refused(LOAD, f"load: {error}")
         self._sumo.load(arguments)
         return _done(LOAD)
+
+
+def _until(command: bytes, sumo: _Sumo) -> bytes:
+    """A step of the client, with the time at which it ends, if it is not one step of SUMO."""
+    ends_s = _FLOAT.unpack(command[-_FLOAT.size :])[0] if len(command) > _FLOAT.size else 0.0
+    if sumo.step_s is None or ends_s > 0.0:
+        return command
+    answer = sumo.asked(_command(GET_SIMULATION, bytes((_TIME,)) + _INT.pack(0)))
+    now_s = _FLOAT.unpack(answer[-_FLOAT.size :])[0]
+    return _command(STEP, _FLOAT.pack(round(now_s + sumo.step_s, 6)))
+
+
+def _asks_step_length(command: bytes) -> bool:
+    place = 1 if command[0] else 5
+    return command[place : place + 2] == bytes((GET_SIMULATION, _STEP_LENGTH))
+
+
+def _simulation_value(variable: int, value: float) -> bytes:
+    """SUMO's answer to a question for a number of the simulation."""
+    about = bytes((GET_SIMULATION + 0x10, variable)) + _INT.pack(0)
+    return framed(about + bytes((_DOUBLE,)) + _FLOAT.pack(value))
 
 
 def _pass_on(client: Wire, sumo: _Filter, tell: Tell) -> None:

@@ -18,20 +18,28 @@ from typing import Final, Self
 from deepmf_sumo import system
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.live.relay import Said, relay
+from deepmf_sumo.live.session import parts_of_a_step
+from deepmf_sumo.scene import DT_S
 from deepmf_sumo.sumo.network import sumo_tools
-from deepmf_sumo.sumo.simulation.sumo_outputs import confined
+from deepmf_sumo.sumo.simulation.sumo_outputs import confined, options as listed
 
 _END_S: Final = 3.0
 _OUTPUT_S: Final = 60.0
 """Until SUMO has written its output after its clients have left."""
 _LOOK_S: Final = 0.2
+_STEP_LENGTH: Final = "step-length"
+_SUMO_STEP_S: Final = 1.0
+_EQUAL_S: Final = 1e-9
 
 
 class SumoServer:
     """SUMO with a port for `attach`, and a port that looks like SUMO's own.
 
+    Attacks need steps of 0.1 s. Where the client asks SUMO for longer ones, SUMO makes several of
+    0.1 s in each of them (`client_step_s`).
+
     Args:
-        config: a .sumocfg.
+        config: a .sumocfg; None: the options say what SUMO simulates.
         port: for the client; 0 takes a free one.
         options: of SUMO, beside the configuration.
         folder: an empty one, into which SUMO writes; its outputs go nowhere else.
@@ -39,14 +47,16 @@ class SumoServer:
 
     Attributes:
         port: as given, or the one that was free. inner: the port for `attach`.
+        client_step_s: of the client's steps without an end of their own; None: they are SUMO's.
 
-    Raises UsageError for a port that is in use, or an option of SUMO that writes elsewhere;
+    Raises UsageError for a port that is in use, an option of SUMO that writes elsewhere, or steps
+    of which 0.1 s is neither a part nor a multiple;
     SimulationError for a configuration that does, and where SUMO does not start.
     """
 
     def __init__(
         self,
-        config: Path,
+        config: Path | None,
         port: int,
         folder: Path,
         options: Sequence[str] = (),
@@ -54,7 +64,8 @@ class SumoServer:
         gui: bool = False,
     ) -> None:
         self._folder = folder
-        arguments = confined(["-c", str(config), *options], folder)
+        named = [] if config is None else ["-c", str(config)]
+        arguments, self.client_step_s = _finer(confined([*named, *options], folder))
         self._said: set[str] = set()
         self._complaints: list[str] = []
         self._wanted: list[str] | None = None
@@ -67,7 +78,7 @@ class SumoServer:
         self._relay = spawn.Process(
             target=relay,
             args=(self._listener, self.inner, says, self._sumo.pid, folder),
-            kwargs={"gui": gui},
+            kwargs={"gui": gui, "step_s": self.client_step_s},
             name="traci relay",
             daemon=True,
         )
@@ -112,9 +123,10 @@ class SumoServer:
             how = "was killed after 60 s" if killed else f"ended with {self._sumo.returncode}"
             self._complaints.append(f"SUMO {how} at the client's load; its output may be cut off")
         arguments = _without_ports(self._wanted, gui=self._gui)
-        self._start(confined(arguments, self._folder))
+        arguments, self.client_step_s = _finer(confined(arguments, self._folder))
+        self._start(arguments)
         self._wanted = None
-        self._hears.send((self.inner, self._sumo.pid))
+        self._hears.send((self.inner, self._sumo.pid, self.client_step_s))
         return True
 
     @property
@@ -206,6 +218,26 @@ class SumoServer:
         except (EOFError, OSError):  # it has ended: no client is connected any more
             self._said.add("left")
         return kind in self._said
+
+
+def _finer(arguments: Sequence[str]) -> tuple[list[str], float | None]:
+    """SUMO's arguments with steps of at most 0.1 s, and how long its steps would have been.
+
+    None: as they are. Raises UsageError where 0.1 s is neither a part nor a multiple of them.
+    """
+    lengths = [one for one in listed(arguments) if one.name == _STEP_LENGTH]
+    try:
+        step_s = float(lengths[0].value) if lengths else _SUMO_STEP_S
+    except ValueError:
+        return list(arguments), None  # SUMO says so
+    parts = round(step_s / DT_S)
+    if parts <= 1 or abs(parts * DT_S - step_s) > _EQUAL_S:
+        parts_of_a_step(step_s)
+        return list(arguments), None
+    left = list(arguments)
+    for word in (word for one in lengths for word in one.words):
+        left.remove(word)
+    return [*left, f"--{_STEP_LENGTH}", f"{DT_S:g}"], step_s
 
 
 def _without_ports(arguments: Sequence[str], *, gui: bool) -> list[str]:

@@ -134,6 +134,62 @@ def test_without_attacks_a_client_sees_what_it_sees_of_sumo(tiny, served, tmp_pa
     assert seen == alone(tiny, step, tmp_path / "alone.json")
 
 
+SECONDS = """
+import json, sys, traci
+api = traci.connect(int(sys.argv[1]), numRetries=50, waitBetweenRetries=0.1)
+own, seen = len(sys.argv) == 3, []
+for second in range(1, 13):
+    api.simulationStep(*() if own else (float(second),))
+    seen.append([api.simulation.getTime(), api.simulation.getDepartedIDList(), sorted(
+        (one, *api.vehicle.getPosition(one)) for one in api.vehicle.getIDList())])
+json.dump([api.simulation.getDeltaT(), seen], open(sys.argv[2], "w"))
+api.close()
+"""
+
+
+def by_seconds(port, file, *more):
+    command = [sys.executable, "-c", SECONDS, str(port), str(file), *more]
+    subprocess.run(command, check=True, timeout=60)
+    return json.loads(file.read_text())
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_client_whose_steps_are_seconds_sees_sumo_at_steps_of_01(tiny, tmp_path, named):
+    """Its steps are SUMO's default, or stated; the twin asks SUMO for each second by its time."""
+    places = ["-n", tiny / "tiny.net.xml", "-r", tiny / "tiny.rou.xml"] if named else []
+    config, options = [] if named else [tiny / "tiny.sumocfg"], OPTIONS[:2] + OPTIONS[4:]
+    process = Command(
+        "serve", *config, "--port", "0", "--av", "nobody", "--out", tmp_path / "live",
+        "--", *places, *options, *(["--step-length", "1"] if named else []),
+    )  # fmt: skip
+    port = int(re.search(r"listening on port (\d+)", process.stderr.readline())[1])
+    step_s, seen = by_seconds(port, tmp_path / "served.json")
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 0, told
+    assert "SUMO steps by 0.1 s in place of 1 s" in told
+    assert step_s == 1.0
+
+    port = free_port()
+    command = [f"{sumo.SUMO_HOME}/bin/sumo", *(places or ["-c", tiny / "tiny.sumocfg"]), *OPTIONS]
+    with subprocess.Popen([*command, "--remote-port", str(port)], stdout=subprocess.DEVNULL):
+        assert seen == by_seconds(port, tmp_path / "alone.json", "timed")[1]
+
+
+def test_a_vehicle_is_attacked_within_the_seconds_of_its_client(tiny, tmp_path):
+    process = Command(
+        "serve", tiny / "tiny.sumocfg", "--port", "0", "--av", "av", "--out", tmp_path / "live",
+        "--duration", "3", "--set", "live.pause_s=0", "--set", "adversary=G",
+        "--", *OPTIONS[:2], *OPTIONS[4:],
+    )  # fmt: skip
+    port = int(re.search(r"listening on port (\d+)", process.stderr.readline())[1])
+    by_seconds(port, tmp_path / "seen.json")
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 0, told
+    attacks = (tmp_path / "live" / "attacks.jsonl").read_text().splitlines()
+    assert json.loads(attacks[0])["opponent"] == "leader"
+    assert json.loads((tmp_path / "live" / "session.json").read_text())["client_step_s"] == 1.0
+
+
 def test_its_vehicle_is_attacked(served, tmp_path):
     process, port = served(
         "av", "--duration", "3", "--set", "live.pause_s=0", "--set", "adversary=G"
@@ -654,9 +710,7 @@ def test_what_cannot_begin_is_one_sentence(tiny, tmp_path, capsys):
         code, told = serve(tiny, tmp_path, "--port", port, *STEPS), capsys.readouterr().err
     assert (code, told.count("\n")) == (2, 1)
     assert f"--port {port} cannot be used" in told
-    assert serve(tiny, tmp_path, "--port", 0) == 2, "the configuration has steps of 1 s"
-    assert "start SUMO with --step-length 0.1" in capsys.readouterr().err
-    for words in (["--step-length", "0.04"], ["--step-length=0"], ["-n", "x", "--step-length=1"]):
+    for words in (["--step-length", "0.04"], ["--step-length=0"], ["-n", "x", "--step-length=.25"]):
         assert serve(tiny, tmp_path, "--port", 0, "--", *words) == 2
         assert "start SUMO with --step-length 0.1" in capsys.readouterr().err
     assert serve(tiny, tmp_path, "--port", 0, *STEPS, "--no-such-option", "1") == 3

@@ -49,7 +49,7 @@ def confined(arguments: Sequence[str], folder: Path) -> list[str]:
     does, or cannot be read.
     """
     given = list(_options(arguments))
-    listed = [*given, *_of_configurations(given)]
+    listed = with_configurations(given)
     names = {one.name for one in listed}
     for one in listed:
         if reason := _elsewhere(one):
@@ -65,6 +65,19 @@ def confined(arguments: Sequence[str], folder: Path) -> list[str]:
         *((f"--{_SUFFIX}", _plain(named.get(_SUFFIX, ""))) if _SUFFIX in names else ()),
         *((f"--{_VTK}", str(folder.absolute() / "vtk")) if _VTK in names else ()),
     ]
+
+
+def options(arguments: Sequence[str]) -> list[Option]:
+    """Of a command line, and then of the configurations that it names: the first of a name holds.
+
+    Raises SimulationError for a configuration that cannot be read.
+    """
+    return with_configurations(list(_options(arguments)))
+
+
+def with_configurations(given: list[Option]) -> list[Option]:
+    """The options of a command line, and those of its configurations."""
+    return [*given, *_of_configurations(given)]
 
 
 def from_anywhere(folder: PurePath) -> str:
