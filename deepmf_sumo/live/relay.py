@@ -275,9 +275,12 @@ class _Filter:
         if number == STEP:
             whole = _until(command, self._sumo)
             return _without_ours(self._sumo.asked(whole, may_take_long=True))
-        if self._sumo.step_s is not None and _asks_step_length(command):
-            return _done(GET_SIMULATION) + _simulation_value(_STEP_LENGTH, self._sumo.step_s)
-        return self._sumo.asked(command, may_take_long=number == CLOSE)
+        step_s = self._sumo.step_s if _asks_step_length(command) else None
+        return (
+            self._sumo.asked(command, may_take_long=number == CLOSE)
+            if step_s is None
+            else _done(GET_SIMULATION) + _simulation_value(_STEP_LENGTH, step_s)
+        )
 
     def _load(self, command: bytes) -> bytes:
         arguments = self._files.of_load(_strings(command))

@@ -21,7 +21,8 @@ from deepmf_sumo.live.relay import Said, relay
 from deepmf_sumo.live.session import parts_of_a_step
 from deepmf_sumo.scene import DT_S
 from deepmf_sumo.sumo.network import sumo_tools
-from deepmf_sumo.sumo.simulation.sumo_outputs import confined, options as listed
+from deepmf_sumo.sumo.simulation.sumo_outputs import confined
+from deepmf_sumo.sumo.simulation.sumo_outputs import options as listed
 
 _END_S: Final = 3.0
 _OUTPUT_S: Final = 60.0
