@@ -183,10 +183,20 @@ def unexplained(episode: Episode) -> Bools:
     free = drive.steps > rollout.now + round(1.0 / rollout.dt_s)
     free &= ~_someone_ahead(rollout, drive)
     free &= ~_ahead_on_road(episode, drive)
+    free &= ~_own_stops(rollout)[drive.steps]
     if rollout.signals:
         for one in approaches(episode):
             free &= ~(np.isfinite(one.left_m) & ~one.goes)
     return free
+
+
+def _own_stops(rollout: Rollout) -> Bools:
+    """(T) whether a stop of the AV's route is within 100 m, or keeps it."""
+    there = np.zeros(rollout.tracks.steps, bool)
+    for event in rollout.events:
+        if event.kind in {"av_stop_ahead", "av_stop_over"}:
+            there[event.step :] = event.kind == "av_stop_ahead"
+    return there
 
 
 def _someone_ahead(rollout: Rollout, drive: DrivenSteps) -> Bools:
@@ -231,6 +241,12 @@ def _ahead_on_road(episode: Episode, drive: DrivenSteps) -> Bools:
     return found
 
 
+def limits_ahead(episode: Episode, at: int) -> list[float]:
+    """Speed limits of the lane that the AV is on, and of those within 100 m, at step ``at``."""
+    name = lane_ids(episode)[at]
+    return [] if name is None else [limit for _, limit, _ in _features(episode.case.road, name)]
+
+
 def _features(road: RoadMap, name: str) -> list[tuple[float, float, bool]]:
     """Lanes from this one on: distance from its start, limit (0: the road ends), and gives way."""
     found, waiting = [], [(name, 0.0)]
@@ -256,5 +272,6 @@ __all__ = [
     "approaches",
     "driven_steps",
     "lane_ids",
+    "limits_ahead",
     "unexplained",
 ]  # fmt: skip

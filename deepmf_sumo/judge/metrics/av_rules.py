@@ -17,6 +17,7 @@ from deepmf_sumo.judge.metrics._surroundings import (
     approaches,
     driven_steps,
     lane_ids,
+    limits_ahead,
     unexplained,
 )
 from deepmf_sumo.judge.metrics.conflict import (
@@ -66,6 +67,7 @@ _SAME_WAY_RAD: Final = float(np.pi / 6)
 _PRESENT_M: Final = 60.0
 _LONG_STEPS: Final = 5
 _FROZEN_MPS: Final = 0.0005
+_AT_LIMIT_MPS: Final = 0.01
 _SEEN_S: Final = 2.5
 """A driver reacts and stops from 50 km/h in this time."""
 _WAITS_S: Final = 3.0
@@ -242,7 +244,7 @@ def av_unexplained_stop(episode: Episode) -> float:
     Reasons are: a road user ahead within 60 m (and the way on which the AV stops with 2 m/s2) that
     neither passes beside the AV nor drives away from it, a light
     within 100 m that is not green, a lower limit or the end of the lane within 100 m, a lane within
-    60 m that gives way, and the first second.
+    60 m that gives way, a stop of its own route within 100 m, and the first second.
     """
     drive = DrivenSteps.of(episode)
     stands = (drive.speed_mps < WAITING_MPS) & unexplained(episode)
@@ -337,7 +339,8 @@ def av_frozen(episode: Episode) -> float:
     above 1 m/s) while it brakes with more than 0.7 m/s2 both just before and just after, over the
     simulated steps up to its first contact: as if a command had been repeated.
 
-    A limit, or SUMO while it changes lanes, may well hold a speed between two accelerations.
+    A limit, or SUMO while it changes lanes, may well hold a speed between two accelerations. An AV
+    that brakes to the limit of a lane within 100 m, and holds it, is not frozen.
     """
     drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
     change = np.diff(drive.speed_mps)
@@ -347,7 +350,10 @@ def av_frozen(episode: Episode) -> float:
         beside = [change[: run.start][-_BESIDE_STEPS:], change[run.stop :][:_BESIDE_STEPS]]
         brakes = all(len(one) and one.max() < -_BRAKES_MPS2 * dt_s for one in beside)
         steps = run.stop - run.start
-        longest = max(longest, steps * bool(brakes and steps >= _REPEATED_STEPS))
+        if not brakes or steps < _REPEATED_STEPS:
+            continue
+        off_limits = np.abs(drive.speed_mps[run.start] - limits_ahead(episode, run.start))
+        longest = max(longest, steps * bool((off_limits > _AT_LIMIT_MPS).all()))
     return longest * dt_s
 
 

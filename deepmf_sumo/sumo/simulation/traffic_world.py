@@ -40,7 +40,7 @@ from deepmf_sumo.sumo.simulation.sumo_config import (
     begun,
     read_configuration,
 )
-from deepmf_sumo.sumo.simulation.vehicle_control import CREEP_MPS, SumoOwner, Takeover
+from deepmf_sumo.sumo.simulation.vehicle_control import CREEP_MPS, OwnStop, SumoOwner, Takeover
 from deepmf_sumo.sumo.simulation.way_on import WayOn
 from deepmf_sumo.sumo.simulation.world import World
 
@@ -111,6 +111,8 @@ class TrafficWorld:
         length = self.body(case.av_id).size_m[0]
         start = read_pose(api, case.av_id, length)
         self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road), footways)
+        self._own_stop, self._stops = OwnStop(api, case.av_id), False
+        self._note_own_stop()
         self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy, self._made.ids)
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
@@ -161,10 +163,19 @@ class TrafficWorld:
             self._leave_out_people(self._api.simulation.getDepartedIDList())
         if self.av.present:
             self.av.after_step()
+            self._note_own_stop()
         self._takeover.after_step()
         self._note_teleports()
         self._frame = self._shown(self._reader.read())
         return self._frame
+
+    def _note_own_stop(self) -> None:
+        """Say where the AV comes to a stop of its route, and where it has left it."""
+        near = self._own_stop.near
+        if near != self._stops:
+            kind = "av_stop_ahead" if near else "av_stop_over"
+            self.events.append(Event(step=self._step, agent_id=self.av.id, kind=kind))
+            self._stops = near
 
     def _note_teleports(self) -> None:
         """Say which vehicles SUMO took off the road, or put onto it elsewhere: they were stuck."""

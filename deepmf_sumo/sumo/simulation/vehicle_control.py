@@ -37,6 +37,7 @@ _TURNS_BACK = ("t", "T")  # directions of links
 _ASKEW_RAD: Final = 0.1
 CREEP_MPS: Final = 5.0
 """At which a vehicle drives to where SUMO can drive it on."""
+OWN_STOP_M: Final = 100.0
 _OFF_ROUTE_COSTS_M: Final = 10.0
 """A lane off its route is as good as one on it that is farther off by this."""
 
@@ -70,6 +71,27 @@ def has_stops(api: SumoApi, vehicle_id: str) -> bool:
     its stops again, and finds that some are not ahead.
     """
     return bool(api.vehicle.getStops(vehicle_id) or api.vehicle.getStops(vehicle_id, -1))
+
+
+class OwnStop:
+    """Whether a vehicle comes to, or keeps, a stop of its route: it slows down for it."""
+
+    def __init__(self, api: SumoApi, vehicle_id: str) -> None:
+        self._vehicle, self._id = api.vehicle, vehicle_id
+        self._has = bool(self._vehicle.getStops(vehicle_id))
+
+    @property
+    def near(self) -> bool:
+        """Within `OWN_STOP_M`, or standing there."""
+        stops = self._vehicle.getStops(self._id, 1) if self._has else ()
+        self._has = bool(stops)
+        if not stops:
+            return False
+        if self._vehicle.isStopped(self._id):
+            return True
+        edge, _, index = stops[0].lane.rpartition("_")
+        place = (edge, stops[0].endPos, int(index))
+        return 0.0 <= self._vehicle.getDrivingDistance(self._id, *place) <= OWN_STOP_M
 
 
 @dataclass(frozen=True, slots=True)

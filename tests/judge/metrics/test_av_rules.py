@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo import plugins
 from deepmf_sumo.judge.metrics import own
 from deepmf_sumo.judge.metrics.av_rules import MONITORS
-from deepmf_sumo.scene import Lane, Polygon, RoadMap, SignalState
+from deepmf_sumo.scene import Event, Lane, Polygon, RoadMap, SignalState
 
 from tests.support.rollout_doubles import case_of, in_traffic, rollout_of, straight
 
@@ -195,6 +195,28 @@ def test_a_light_explains_a_stop_and_one_that_passes_does_not():
     assert value("av_unexplained_braking", braking(60, 12, 2.0, 4.0), oncoming=oncoming) > 3.9
 
 
+@pytest.mark.parametrize(
+    ("events", "stands_s", "hardest"),
+    [
+        ([(0, "av_stop_ahead")], 0.0, 0.0),
+        ([(0, "av_stop_ahead"), (60, "av_stop_over")], 2.0, 0.0),
+        ([(60, "av_stop_ahead")], 1.0, 4.0),
+    ],
+)
+def test_a_stop_of_its_own_route_explains_that_it_stops(events, stands_s, hardest):
+    """It brakes from 2 s to 5 s after now, and stands for 3 s."""
+    rollout = dataclasses.replace(
+        rollout_of({"av": braking(60, 12, 2.0, 4.0), "b": AWAY}),
+        events=tuple(Event(step=10 + one, agent_id="av", kind=kind) for one, kind in events),
+    )
+    case = dataclasses.replace(in_traffic(case_of()), road=ROAD)
+    found = [
+        plugins.load("metrics", name).measure(rollout, case).value
+        for name in ("av_unexplained_stop", "av_unexplained_braking")
+    ]
+    assert found == pytest.approx([stands_s, hardest], abs=0.25)
+
+
 def test_following():
     """8 m behind one as fast, 12 m/s: 0.67 s. Slowing down, or 12 m behind, it is none."""
     near = {"leader": straight(60 + 4.8 + 8, 0, 12)}
@@ -218,5 +240,9 @@ def test_a_repeated_command():
     speed[20:25] = speed[19]
     assert value("av_frozen", poses(60, np.maximum(speed, 0))) == pytest.approx(0.5)
     assert value("av_frozen", poses(60, 13 - np.maximum(speed, 0))) == 0.0  # it accelerates
+    at_limit = np.concatenate([15 - 0.2 * np.arange(5), np.full(10, 14.0)])
+    at_limit = np.concatenate([at_limit, 14 - 0.2 * np.arange(1, 66)])
+    assert value("av_frozen", poses(60, at_limit)) == 0.0
+    assert value("av_frozen", poses(60, at_limit - 0.1)) == pytest.approx(0.9)
     steady = np.concatenate([12 - 0.2 * np.arange(20), np.full(60, 8.0)])
     assert value("av_frozen", poses(60, steady)) == 0.0
