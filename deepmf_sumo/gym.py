@@ -27,7 +27,7 @@ from deepmf_sumo.files import cache_folder
 from deepmf_sumo.judge import ladder
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.planners._stepped import Ended, SteppedEpisode
-from deepmf_sumo.scene import Attack, Case, Command, Floats, Rollout, View
+from deepmf_sumo.scene import DT_S, Attack, Case, Command, Floats, Rollout, View
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.ground import off_level
 from deepmf_sumo.scene.scene import HISTORY_STEPS
@@ -51,6 +51,7 @@ ID: Final = "deepmf_sumo/Attack-v0"
 """Under which Gymnasium knows the environment once this module is imported."""
 BRAKE_MPS2: Final = -8.0
 ACCEL_MPS2: Final = 4.0
+_EQUAL_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,6 +213,8 @@ class AttackEnv(_Env):  # type: ignore[misc]
         spec: a spec, or its file. Each attack has one episode, whatever the spec's ``tries``.
         agents: number of the nearest agents that are observed.
         reward: see `Reward`; a mapping has its keys.
+        step_s: seconds of a step, a multiple of 0.1: an acceleration, or a command, is repeated in
+            each 0.1 s of it. Attacks and SUMO keep their steps of 0.1 s.
         render_mode: ``rgb_array``: `render` gives a picture of what is around the AV.
 
     Attributes:
@@ -224,7 +227,7 @@ class AttackEnv(_Env):  # type: ignore[misc]
     attack several times.
     """
 
-    metadata: Final[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata: Mapping[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(
         self,
@@ -232,11 +235,14 @@ class AttackEnv(_Env):  # type: ignore[misc]
         *,
         agents: int = 16,
         reward: Reward | Mapping[str, Any] = Reward(),
+        step_s: float = DT_S,
         render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise UsageError(f"render_mode is {render_mode!r}; it can be 'rgb_array' or None.")
         self.render_mode = render_mode
+        self._repeats = _repeats(step_s)
+        self.metadata = {**self.metadata, "render_fps": 10 / self._repeats}
         self._reward = reward if isinstance(reward, Reward) else _reward(reward)
         self._spec = _in_one_try(spec if isinstance(spec, Spec) else specs.load(Path(spec)))
         self._tasks = tasks.plan([self._spec], cache_folder())
@@ -282,23 +288,30 @@ class AttackEnv(_Env):  # type: ignore[misc]
     def step(
         self, action: Floats | Command
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Drive the AV for 0.1 s."""
+        """Drive the AV for ``step_s``, or until the episode ends."""
         if self._stepped is None or self.view is None or self.case is None:
             raise UsageError(_TAKEN if self._taken else "No episode is running: call reset first.")
-        command = action if isinstance(action, Command) else _accelerated(self.view, action)
+        reward = 0.0
+        for _ in range(self._repeats):
+            before, came = self.view, self._driven(self._stepped, self.view, action)
+            if not isinstance(came, View):
+                self._release()
+                self.attack = came.result
+                return self._last_step(before, came.result.rollout, self.case, reward)
+            self.view = came
+            reward += self._reward.of_step(before, came)
+        return self._observer.observe(self.view), reward, False, False, self._info(self.view)
+
+    def _driven(
+        self, stepped: SteppedEpisode, view: View, action: Floats | Command
+    ) -> View | Ended:
+        """What comes after 0.1 s."""
+        command = action if isinstance(action, Command) else _accelerated(view, action)
         try:
-            came = self._stepped.next(command)
+            return stepped.next(command)
         except BaseException:  # an error of the simulation, or an interrupt
             self.close()
             raise
-        before = self.view
-        if isinstance(came, View):
-            self.view = came
-            reward = self._reward.of_step(before, came)
-            return self._observer.observe(came), reward, False, False, self._info(came)
-        self._release()
-        self.attack = came.result
-        return self._last_step(before, came.result.rollout, self.case)
 
     def render(self) -> NDArray[np.uint8] | None:
         """(480, 480, 3) picture of the road and the vehicles around the AV; x to the right.
@@ -353,17 +366,25 @@ class AttackEnv(_Env):  # type: ignore[misc]
         raise UsageError(f"The spec has no scene '{scene}'; e.g. {known}.")
 
     def _last_step(
-        self, before: View, rollout: Rollout, case: Case
+        self, before: View, rollout: Rollout, case: Case, reward: float
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         self.view = self._observer.last_view(rollout, case)
         late = rollout.ended == "time"
         info = {**self._info(self.view), "outcome": rollout.outcome, "ended": rollout.ended}
         info["opponent"] = rollout.opponent_id
-        reward = self._reward.of_step(before, self.view) + self._reward.of_end(rollout, case)
+        reward += self._reward.of_step(before, self.view) + self._reward.of_end(rollout, case)
         return self._observer.observe(self.view), reward, not late, late, info
 
     def _info(self, view: View) -> dict[str, Any]:
         return {"run_id": self._run_id, "step": view.step}
+
+
+def _repeats(step_s: float) -> int:
+    """Steps of 0.1 s in one of the environment. Raises UsageError if there is no whole number."""
+    count = round(step_s / DT_S) if np.isfinite(step_s) else 0
+    if count < 1 or abs(count * DT_S - step_s) > _EQUAL_S:
+        raise UsageError(f"step_s is {step_s!r}; it must be a multiple of 0.1 s.")
+    return count
 
 
 def _reward(values: Mapping[str, Any]) -> Reward:

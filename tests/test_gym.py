@@ -31,8 +31,8 @@ def make():
     pytest.importorskip("gymnasium")
     made = []
 
-    def new(*arguments):
-        made.append(importlib.import_module(MODULE).AttackEnv(*arguments))
+    def new(loaded, step_s=0.1):
+        made.append(importlib.import_module(MODULE).AttackEnv(loaded, step_s=step_s))
         return made[-1]
 
     yield new
@@ -65,6 +65,29 @@ def test_it_keeps_gymnasiums_rules(loaded):
             check_env(environment.unwrapped)
         finally:
             environment.close()
+
+
+def test_a_longer_step_repeats_the_action(make, loaded):
+    """Twin: the same acceleration in ten steps, and what is left of the episode in one."""
+    for action in ([1.0], Command(kind="speed", speed_mps=4.0)):
+        short, long = make(loaded), make(loaded, 1.0)
+        short.reset(seed=3)
+        found = [short.step(action) for _ in range(30)]
+        long.reset(seed=3)
+        for second in range(3):
+            observation, reward, *ends, info = long.step(action)
+            last = found[10 * second + 9]
+            assert reward == pytest.approx(sum(one[1] for one in found[10 * second :][:10]))
+            assert (ends, info) == (list(last[2:4]), last[4])
+            for name, values in last[0].items():
+                np.testing.assert_array_equal(observation[name], values)
+        assert ends == [False, True]
+
+
+@pytest.mark.parametrize("step_s", [0.0, 0.15, -1.0, float("nan"), float("inf")])
+def test_a_step_is_a_multiple_of_a_tenth(make, loaded, step_s):
+    with pytest.raises(UsageError, match="step_s"):
+        make(loaded, step_s)
 
 
 def test_the_same_idm_through_the_door_drives_the_same(make, loaded):
