@@ -36,7 +36,8 @@ from deepmf_sumo.sumo.simulation.sumo_outputs import confined
 LOAD, STEP, ORDER, CLOSE, HALF_STEP = 0x01, 0x02, 0x03, 0x7F, 0x7D
 GET_SIMULATION: Final = 0xAB
 """TraCI's numbers of commands."""
-_TIME, _STEP_LENGTH, _DOUBLE = 0x66, 0x7B, 0x0B
+_TIME, _STEP_LENGTH, _OPTION = 0x66, 0x7B, 0x32
+_DOUBLE, _STRING = 0x0B, 0x0C
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
 Kind = Literal["joined", "unused", "left", "load", "complaint", "stuck"]
@@ -275,12 +276,8 @@ class _Filter:
         if number == STEP:
             whole = _until(command, self._sumo)
             return _without_ours(self._sumo.asked(whole, may_take_long=True))
-        step_s = self._sumo.step_s if _asks_step_length(command) else None
-        return (
-            self._sumo.asked(command, may_take_long=number == CLOSE)
-            if step_s is None
-            else _done(GET_SIMULATION) + _simulation_value(_STEP_LENGTH, step_s)
-        )
+        own = _of_step_length(command, self._sumo.step_s)
+        return own or self._sumo.asked(command, may_take_long=number == CLOSE)
 
     def _load(self, command: bytes) -> bytes:
         arguments = self._files.of_load(_strings(command))
@@ -302,15 +299,25 @@ def _until(command: bytes, sumo: _Sumo) -> bytes:
     return _command(STEP, _FLOAT.pack(round(now_s + sumo.step_s, 6)))
 
 
-def _asks_step_length(command: bytes) -> bool:
-    place = 1 if command[0] else 5
-    return command[place : place + 2] == bytes((GET_SIMULATION, _STEP_LENGTH))
+def _of_step_length(command: bytes, step_s: float | None) -> bytes:
+    """The answer to `getDeltaT` and to `getOption` of the step length; empty to all else.
+
+    ``step_s``: of the client's steps; None: they are SUMO's, which answers itself.
+    """
+    asked = command[1 if command[0] else 5 :]
+    if step_s is None or asked[:1] != bytes((GET_SIMULATION,)):
+        return b""
+    if asked[1] == _STEP_LENGTH:
+        value = bytes((_DOUBLE,)) + _FLOAT.pack(step_s)
+    elif asked[1:] == bytes((_OPTION,)) + _text("step-length"):
+        value = bytes((_STRING,)) + _text(f"{step_s:g}")
+    else:
+        return b""
+    return _done(GET_SIMULATION) + framed(bytes((GET_SIMULATION + 0x10,)) + asked[1:] + value)
 
 
-def _simulation_value(variable: int, value: float) -> bytes:
-    """SUMO's answer to a question for a number of the simulation."""
-    about = bytes((GET_SIMULATION + 0x10, variable)) + _INT.pack(0)
-    return framed(about + bytes((_DOUBLE,)) + _FLOAT.pack(value))
+def _text(text: str) -> bytes:
+    return _INT.pack(len(text)) + text.encode()
 
 
 def _pass_on(client: Wire, sumo: _Filter, tell: Tell) -> None:

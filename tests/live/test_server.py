@@ -142,7 +142,8 @@ for second in range(1, 13):
     api.simulationStep(*() if own else (float(second),))
     seen.append([api.simulation.getTime(), api.simulation.getDepartedIDList(), sorted(
         (one, *api.vehicle.getPosition(one)) for one in api.vehicle.getIDList())])
-json.dump([api.simulation.getDeltaT(), seen], open(sys.argv[2], "w"))
+steps = [api.simulation.getDeltaT(), float(api.simulation.getOption("step-length"))]
+json.dump([steps, api.simulation.getOption("seed"), seen], open(sys.argv[2], "w"))
 api.close()
 """
 
@@ -163,16 +164,16 @@ def test_a_client_whose_steps_are_seconds_sees_sumo_at_steps_of_01(tiny, tmp_pat
         "--", *places, *options, *(["--step-length", "1"] if named else []),
     )  # fmt: skip
     port = int(re.search(r"listening on port (\d+)", process.stderr.readline())[1])
-    step_s, seen = by_seconds(port, tmp_path / "served.json")
+    steps_s, *seen = by_seconds(port, tmp_path / "served.json")
     _, told = process.communicate(timeout=60)
     assert process.returncode == 0, told
     assert "SUMO steps by 0.1 s in place of 1 s" in told
-    assert step_s == 1.0
+    assert steps_s == [1.0, 1.0]
 
     port = free_port()
     command = [f"{sumo.SUMO_HOME}/bin/sumo", *(places or ["-c", tiny / "tiny.sumocfg"]), *OPTIONS]
     with subprocess.Popen([*command, "--remote-port", str(port)], stdout=subprocess.DEVNULL):
-        assert seen == by_seconds(port, tmp_path / "alone.json", "timed")[1]
+        assert [[0.1, 0.1], *seen] == by_seconds(port, tmp_path / "alone.json", "timed")
 
 
 def test_a_vehicle_is_attacked_within_the_seconds_of_its_client(tiny, tmp_path):
