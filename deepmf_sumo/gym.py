@@ -380,8 +380,11 @@ class AttackEnv(_Env):  # type: ignore[misc]
 
 
 def _repeats(step_s: float) -> int:
-    """Steps of 0.1 s in one of the environment. Raises UsageError if there is no whole number."""
-    count = round(step_s / DT_S) if np.isfinite(step_s) else 0
+    """Number of steps of 0.1 s in a step of the environment. Raises UsageError unless whole."""
+    try:
+        count = round(step_s / DT_S)
+    except (TypeError, ValueError, OverflowError):  # no number, nan, inf
+        count = 0
     if count < 1 or abs(count * DT_S - step_s) > _EQUAL_S:
         raise UsageError(f"step_s is {step_s!r}; it must be a multiple of 0.1 s.")
     return count

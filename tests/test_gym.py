@@ -84,7 +84,7 @@ def test_a_longer_step_repeats_the_action(make, loaded):
         assert ends == [False, True]
 
 
-@pytest.mark.parametrize("step_s", [0.0, 0.15, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("step_s", [0.0, 0.15, -1.0, float("nan"), float("inf"), "1", None])
 def test_a_step_is_a_multiple_of_a_tenth(make, loaded, step_s):
     with pytest.raises(UsageError, match="step_s"):
         make(loaded, step_s)

@@ -72,6 +72,8 @@ def command(
     port, options = _port_and_options(port, ctx.meta[AFTER], ctx)
     if config is None and not options:
         raise click.UsageError("Missing CONFIG, or SUMO's options with a network behind --.")
+    if config is not None:
+        _check(config, options)
     wish = live.AttackRequest(sets=tuple(rest), pause_s=keys.pause_s, **given)
     with (
         closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
@@ -91,6 +93,14 @@ def command(
     if (out / SUMO_FILES).is_dir():
         click.echo(f"what SUMO itself wrote is in {out / SUMO_FILES}")
     ctx.exit(code if server.joined else exit_code("interrupted"))
+
+
+def _check(config: Path, options: Sequence[str]) -> None:
+    """Raise what is wrong with a configuration before a client comes, unless options replace it."""
+    from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
+
+    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
+        read_configuration(config)
 
 
 def _tell_steps(server: "SumoServer") -> None:
@@ -166,6 +176,8 @@ def _simulations(
         more = not stopped() and server.load()
         if more:
             click.echo("the client has loaded another simulation", err=True)
+            prepared.record.client_step_s = server.client_step_s
+            _tell_steps(server)
 
 
 def _port_and_options(port: int, after: Sequence[str], ctx: click.Context) -> tuple[int, list[str]]:

@@ -290,9 +290,12 @@ class _Filter:
 
 
 def _until(command: bytes, sumo: _Sumo) -> bytes:
-    """A step of the client, with the time at which it ends, if it is not one step of SUMO."""
-    ends_s = _FLOAT.unpack(command[-_FLOAT.size :])[0] if len(command) > _FLOAT.size else 0.0
-    if sumo.step_s is None or ends_s > 0.0:
+    """A step of the client with the time at which it ends, where that is not SUMO's next step.
+
+    A client that names a time, or sends nonsense, is passed on as it is.
+    """
+    named = command[2 if command[0] else 6 :]
+    if sumo.step_s is None or named != _FLOAT.pack(0.0):
         return command
     answer = sumo.asked(_command(GET_SIMULATION, bytes((_TIME,)) + _INT.pack(0)))
     now_s = _FLOAT.unpack(answer[-_FLOAT.size :])[0]
@@ -307,7 +310,7 @@ def _of_step_length(command: bytes, step_s: float | None) -> bytes:
     asked = command[1 if command[0] else 5 :]
     if step_s is None or asked[:1] != bytes((GET_SIMULATION,)):
         return b""
-    if asked[1] == _STEP_LENGTH:
+    if asked[1:2] == bytes((_STEP_LENGTH,)):
         value = bytes((_DOUBLE,)) + _FLOAT.pack(step_s)
     elif asked[1:] == bytes((_OPTION,)) + _text("step-length"):
         value = bytes((_STRING,)) + _text(f"{step_s:g}")

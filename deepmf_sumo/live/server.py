@@ -21,8 +21,7 @@ from deepmf_sumo.live.relay import Said, relay
 from deepmf_sumo.live.session import parts_of_a_step
 from deepmf_sumo.scene import DT_S
 from deepmf_sumo.sumo.network import sumo_tools
-from deepmf_sumo.sumo.simulation.sumo_outputs import confined
-from deepmf_sumo.sumo.simulation.sumo_outputs import options as listed
+from deepmf_sumo.sumo.simulation.sumo_outputs import confined, options_of
 
 _END_S: Final = 3.0
 _OUTPUT_S: Final = 60.0
@@ -226,7 +225,8 @@ def _finer(arguments: Sequence[str]) -> tuple[list[str], float | None]:
 
     None: as they are. Raises UsageError where 0.1 s is neither a part nor a multiple of them.
     """
-    lengths = [one for one in listed(arguments) if one.name == _STEP_LENGTH]
+    options = options_of(arguments)
+    lengths = [one for one in options if one.name == _STEP_LENGTH]
     try:
         step_s = float(lengths[0].value) if lengths else _SUMO_STEP_S
     except ValueError:
@@ -235,10 +235,8 @@ def _finer(arguments: Sequence[str]) -> tuple[list[str], float | None]:
     if parts <= 1 or abs(parts * DT_S - step_s) > _EQUAL_S:
         parts_of_a_step(step_s)
         return list(arguments), None
-    left = list(arguments)
-    for word in (word for one in lengths for word in one.words):
-        left.remove(word)
-    return [*left, f"--{_STEP_LENGTH}", f"{DT_S:g}"], step_s
+    others = [word for one in options if one.name != _STEP_LENGTH for word in one.words]
+    return [*others, f"--{_STEP_LENGTH}", f"{DT_S:g}"], step_s
 
 
 def _without_ports(arguments: Sequence[str], *, gui: bool) -> list[str]:

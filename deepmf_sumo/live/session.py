@@ -409,6 +409,6 @@ def parts_of_a_step(step_s: float) -> int:
         raise UsageError(
             f"The simulation steps by {step_s:g} s, and an attack needs 0.1 s or a whole part of "
             "it; start SUMO with --step-length 0.1 (or 0.05, 0.02, 0.01), `serve` with it behind "
-            "a -- (or with a multiple of 0.1)."
+            "a --. A client of `serve` may also have a multiple of 0.1 s."
         )
     return parts

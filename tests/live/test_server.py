@@ -17,14 +17,17 @@ import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sumo
+import traci
 from traci import constants
 
 from deepmf_sumo.cli import _leaving, main
 from deepmf_sumo.errors import exit_code
-from deepmf_sumo.live.relay import CLOSE, LARGEST, LOAD, ORDER, STEP
+from deepmf_sumo.live.relay import CLOSE, GET_SIMULATION, LARGEST, LOAD, ORDER, STEP, _Filter
+from deepmf_sumo.live.server import _finer
 
 from tests.support.forked_workers import Command
 
@@ -174,6 +177,50 @@ def test_a_client_whose_steps_are_seconds_sees_sumo_at_steps_of_01(tiny, tmp_pat
     command = [f"{sumo.SUMO_HOME}/bin/sumo", *(places or ["-c", tiny / "tiny.sumocfg"]), *OPTIONS]
     with subprocess.Popen([*command, "--remote-port", str(port)], stdout=subprocess.DEVNULL):
         assert [[0.1, 0.1], *seen] == by_seconds(port, tmp_path / "alone.json", "timed")
+
+
+@pytest.mark.parametrize("words", [["--step-length", "1"], ["--step-length=1"], []])
+def test_only_the_step_length_changes(tmp_path, words):
+    """Another option may have the same value, before it or behind it."""
+    given = ["-n", "a.net.xml", "--seed", "1", *words, "--scale", "1"]
+    assert _finer(given) == (
+        ["-n", "a.net.xml", "--seed", "1", "--scale", "1", "--step-length", "0.1"], 1.0,
+    )  # fmt: skip
+    config = tmp_path / "a.sumocfg"
+    config.write_text('<configuration><time><step-length value="0.5"/></time></configuration>')
+    for more, step_s in (([], 0.5), (["--step-length", "2"], 2.0)):
+        found = ["-c", str(config), "--step-length", "0.1"], step_s
+        assert _finer(["-c", str(config), *more]) == found
+    for fine in ("0.1", "0.05", "0.01", "soon"):
+        assert _finer(["--step-length", fine]) == (["--step-length", fine], None)
+
+
+def test_a_client_that_loads_has_the_steps_that_it_loads(tiny, tmp_path):
+    """First SUMO's own steps of 0.1 s, then, after a load, those of a second."""
+    process = Command(
+        "serve", tiny / "tiny.sumocfg", "--port", "0", "--av", "nobody",
+        "--out", tmp_path / "live", "--", *OPTIONS,
+    )  # fmt: skip
+    port = int(re.search(r"listening on port (\d+)", process.stderr.readline())[1])
+    api = traci.connect(port, numRetries=50, waitBetweenRetries=0.1)
+    api.simulationStep()
+    assert (api.simulation.getTime(), api.simulation.getDeltaT()) == (0.1, 0.1)
+    api.load(["-c", str(tiny / "tiny.sumocfg"), *OPTIONS[:2], *OPTIONS[4:]])
+    api.simulationStep()
+    assert (api.simulation.getTime(), api.simulation.getDeltaT()) == (1.0, 1.0)
+    api.close()
+    _, told = process.communicate(timeout=60)
+    assert (process.returncode, told.count("SUMO steps by 0.1 s")) == (0, 1), told
+    assert json.loads((tmp_path / "live" / "session.json").read_text())["client_step_s"] == 1.0
+
+
+def test_nonsense_from_a_client_of_seconds_reaches_sumo(tiny, tmp_path):
+    """A question without content, a step without a time, one to no number: as with SUMO alone."""
+    numbers = [bytes((2, GET_SIMULATION)), bytes((2, STEP)), b"\x0a\x02" + b"\x7f\xf8" + bytes(6)]
+    for each in numbers:
+        sumo_double = SimpleNamespace(step_s=1.0, asked=lambda commands, **_: b"SUMO" + commands)
+        passed = _Filter(sumo_double, tmp_path).answered(each)
+        assert passed == b"SUMO" + each
 
 
 def test_a_vehicle_is_attacked_within_the_seconds_of_its_client(tiny, tmp_path):

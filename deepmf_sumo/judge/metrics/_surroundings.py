@@ -191,7 +191,7 @@ def unexplained(episode: Episode) -> Bools:
 
 
 def _own_stops(rollout: Rollout) -> Bools:
-    """(T) whether a stop of the AV's route is within 100 m, or keeps it."""
+    """(T) whether a stop of the AV's route is within 100 m, or the AV stands at it."""
     there = np.zeros(rollout.tracks.steps, bool)
     for event in rollout.events:
         if event.kind in {"av_stop_ahead", "av_stop_over"}:

@@ -339,8 +339,8 @@ def av_frozen(episode: Episode) -> float:
     above 1 m/s) while it brakes with more than 0.7 m/s2 both just before and just after, over the
     simulated steps up to its first contact: as if a command had been repeated.
 
-    A limit, or SUMO while it changes lanes, may well hold a speed between two accelerations. An AV
-    that brakes to the limit of a lane within 100 m, and holds it, is not frozen.
+    A limit, or SUMO while it changes lanes, may well hold a speed between two accelerations. It may
+    also brake to the limit of a lane within 100 m and hold that speed: that counts nothing.
     """
     drive, dt_s = DrivenSteps.of(episode), episode.rollout.dt_s
     change = np.diff(drive.speed_mps)

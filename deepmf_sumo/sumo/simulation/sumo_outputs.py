@@ -49,7 +49,7 @@ def confined(arguments: Sequence[str], folder: Path) -> list[str]:
     does, or cannot be read.
     """
     given = list(_options(arguments))
-    listed = with_configurations(given)
+    listed = [*given, *_of_configurations(given)]
     names = {one.name for one in listed}
     for one in listed:
         if reason := _elsewhere(one):
@@ -67,16 +67,12 @@ def confined(arguments: Sequence[str], folder: Path) -> list[str]:
     ]
 
 
-def options(arguments: Sequence[str]) -> list[Option]:
-    """Of a command line, and then of the configurations that it names: the first of a name holds.
+def options_of(arguments: Sequence[str]) -> list[Option]:
+    """The options of a command line, then those of its configurations: the first of a name holds.
 
     Raises SimulationError for a configuration that cannot be read.
     """
-    return with_configurations(list(_options(arguments)))
-
-
-def with_configurations(given: list[Option]) -> list[Option]:
-    """The options of a command line, and those of its configurations."""
+    given = list(_options(arguments))
     return [*given, *_of_configurations(given)]
 
 

@@ -82,13 +82,11 @@ class OwnStop:
 
     @property
     def near(self) -> bool:
-        """Within `OWN_STOP_M`, or standing there."""
+        """Whether the next stop, also one that it stands at, is within `OWN_STOP_M`."""
         stops = self._vehicle.getStops(self._id, 1) if self._has else ()
         self._has = bool(stops)
         if not stops:
             return False
-        if self._vehicle.isStopped(self._id):
-            return True
         edge, _, index = stops[0].lane.rpartition("_")
         place = (edge, stops[0].endPos, int(index))
         return 0.0 <= self._vehicle.getDrivingDistance(self._id, *place) <= OWN_STOP_M

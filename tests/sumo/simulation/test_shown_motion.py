@@ -151,6 +151,27 @@ def test_a_box_that_sumo_turns_in_a_step_is_not_spread(road, motion):
     assert (shown.y_m, shown.heading_rad) == pytest.approx((y, 0.0))
 
 
+def test_the_rear_of_a_train_that_turns_a_little_is_not_spread(road):
+    """Its locomotive turns by a degree a step: 130 m behind, the rear moves 2.3 m to the side."""
+    train, front = ShownMotion(road, "av", 130.0), np.array([150.0, 0.0])
+    road.lane_id, road.along = "ab_0", 150.0
+    for degrees in (0, 0, 1, 2, 3, 3):
+        front[0] += 3.3
+        heading = np.radians(degrees)
+        centre = front - 65.0 * np.array([np.cos(heading), np.sin(heading)])
+        pose = Pose(x_m=centre[0], y_m=centre[1], heading_rad=heading, speed_mps=33.0)
+        assert train.advance(pose) == pose
+
+
+def test_a_rear_that_jumps_farther_than_the_vehicle_drives_is_spread(road, motion):
+    """The front goes on, the rear comes over by 1.5 m in a step of 0.2 m."""
+    for x in (9.6, 9.8):
+        road.drive(motion, "ab_0", x, speed=2.0)
+    heading = float(np.arcsin(1.5 / 5.0))
+    shown = road.drive(motion, "ab_0", 10.0, speed=2.0, heading=heading)
+    assert 0.0 < shown.heading_rad < 0.1 * heading
+
+
 def test_a_lane_shorter_than_the_vehicle_says_nothing_of_its_direction(road, motion):
     road.lane.getShape = lambda lane: ((0.0, 0.0), (2.0, 2.0) if lane == "kink" else (9.0, 9.0))
     pose = Pose(x_m=0.0, y_m=0.0, heading_rad=0.1, speed_mps=10.0)
