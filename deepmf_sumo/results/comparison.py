@@ -11,6 +11,7 @@ import pandas as pd
 
 from deepmf_sumo.results.matching import Matched, answer, match
 from deepmf_sumo.results.quantities import Quantity
+from deepmf_sumo.results.statistics import by_chance
 
 State = Literal["worse", "better", "within margin", "cannot tell", "not judged"]
 
@@ -24,6 +25,8 @@ class QuantityChange:
         tolerance: a difference up to it does not matter, however sure it is.
         margin: the whole interval must lie within it for ``within margin``.
         needed: about how many units would decide, where these do not.
+        often: situations that are worse by more than the tolerance, and better; where they alone
+            say ``worse``, else None.
         group: what the runs have in common, e.g. ``planner idm corridor``; empty for all.
     """
 
@@ -34,6 +37,7 @@ class QuantityChange:
     tolerance: float
     margin: float
     needed: int | None = None
+    often: tuple[int, int] | None = None
     group: str = ""
 
 
@@ -51,13 +55,19 @@ def change(
 ) -> QuantityChange:
     """What the runs say of a quantity, by name a column of both frames.
 
+    The mean says little where few situations differ, or differ little beside how much situations
+    vary. ``one_sided``, a quantity is therefore worse, too, if more situations are worse than
+    better, by more than the tolerance, than a fair coin would give (sign test), and if the mean is
+    not better. A planner compared with itself in the same situations differs in none.
+
     Args:
         quantity: what is compared.
         new: runs as of `Results.frame`.
         old: the same.
         confidence: of the two-sided interval.
         bounds: tolerance and margin; those of the quantity where none are given.
-        one_sided: only a worsening beyond the margin must be ruled out for ``within margin``.
+        one_sided: only a worsening beyond the margin must be ruled out for ``within margin``, and
+            situations are counted.
     """
     tolerance, margin = bounds or (quantity.negligible, quantity.margin)
     found = match(quantity.name, new, old, confidence, quantity.largest)
@@ -68,12 +78,28 @@ def change(
         state = "worse" if said == _WORSE[quantity.worse] else "better"
     else:
         state = "within margin" if said == "within margin" else "cannot tell"
+    often = None
+    if one_sided and state != "worse":
+        often = _oftener_worse(found, quantity, tolerance, (1 - confidence) / 2)
     return QuantityChange(
         quantity=quantity.name,
         unit=quantity.unit,
         found=found,
-        state=state,
+        state="worse" if often else state,
         tolerance=tolerance,
         margin=margin,
-        needed=needed,
+        needed=None if often else needed,
+        often=often,
     )
+
+
+def _oftener_worse(
+    found: Matched, quantity: Quantity, tolerance: float, level: float
+) -> tuple[int, int] | None:
+    """How many situations are worse, and better; None if chance explains that."""
+    sign = -1 if quantity.worse == "lower" else 1
+    changes = [sign * mean for _, mean in found.each]
+    worse = sum(one > tolerance for one in changes)
+    better = sum(one < -tolerance for one in changes)
+    told = sum(changes) > 0 and by_chance(worse, better) < level
+    return (worse, better) if told else None

@@ -65,6 +65,10 @@ def _parser() -> argparse.ArgumentParser:
         help="of the careful planner's other runs, e.g. 101-104; each is compared with all before",
     )  # fmt: skip
     run.add_argument(
+        "--alike", type=int, nargs="*", default=[1, 2, 3], metavar="SEED",
+        help="of the errors of equally good planners; each is compared with all before",
+    )  # fmt: skip
+    run.add_argument(
         "--later-seeds", type=int, nargs="*", default=[],
         help="added for planners that the first seeds do not report",
     )  # fmt: skip

@@ -1,21 +1,24 @@
 """Which faults the gate of `deepmf-sumo check` reports when one method attacks all planners.
 
-Each planner has a result folder; the careful planner's is the baseline of the others, at the same
-moments. Every run is attacked, and measured without attack, too. What the first seeds do not report
-gets the later seeds as well.
+Each planner has a result folder; that of the control is the baseline of the others, at the same
+moments. The control is the careful planner by its own IDM, as copies with a fault drive. Every run
+is attacked, and measured without attack, too. What the first seeds do not report gets the later
+seeds as well.
 
-The hits of both planners are repeated (`check --same-attacks`): a hit that the careful planner
-avoids where the opponent drives the same path is the fault's own.
+The hits of both planners are repeated (`check --same-attacks`): a hit that the control avoids where
+the opponent drives the same path is the fault's own.
 
 False alarms: the careful planner has runs of other seeds, and each set of runs is compared with all
-before it; a copy without fault that drives by its own IDM, as faulty ones do, is the control.
+before it. At the same moments it would only be compared with its own equal runs; so copies of the
+control that know speeds to a few per cent, each with other errors, are compared with each other.
 """
 
 import argparse
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -44,6 +47,7 @@ FAULTY: Final = "studies.planner_faults.faults:Faulty"
 FAULTY_WITH_PEOPLE: Final = "studies.planner_faults.people:FaultyWithPeople"
 BY_PEOPLE: Final = "{name: deepmf, attackers: people}"
 CONTROL: Final = "careful by its own IDM"
+_CONTROL: Final[Mapping[str, Any]] = {"fault": "none", "unguarded": True}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +61,7 @@ class Asked:
         moments: in place of the number in specs that choose moments; None keeps it.
         later_seeds: of planners that are not reported with the first ``seeds``, added to these.
         other_seeds: of the runs for false alarms, one set each.
+        alike: seeds of the errors of equally good planners, for false alarms at equal moments.
         thresholds: a file of `check`; None judges what `check` judges by itself.
         planner: the copies; with the setting ``fault: none`` it has none.
     """
@@ -68,6 +73,7 @@ class Asked:
     seeds: tuple[int, ...]
     later_seeds: tuple[int, ...] = ()
     other_seeds: tuple[tuple[int, ...], ...]
+    alike: tuple[int, ...] = ()
     faults: tuple[str, ...]
     specs: tuple[Path, ...]
     thresholds: Path | None
@@ -89,6 +95,7 @@ class Asked:
             seeds=tuple(given.seeds),
             later_seeds=tuple(given.later_seeds),
             other_seeds=tuple(given.false_alarms),
+            alike=tuple(given.alike),
             faults=tuple(known) if chosen == ["all"] else tuple(chosen),
             specs=tuple(given.specs or sorted(suite.glob("*.yaml"))),
             thresholds=given.thresholds,
@@ -98,10 +105,10 @@ class Asked:
 
 
 class Found(NamedTuple):
-    """What the gate says of a planner's runs, against those of the careful planner.
+    """What the gate says of a planner's runs, against those of its baseline.
 
     ``episodes``: simulated attacks, all tries counted, without the ``repeated`` ones. ``own``: hits
-    that the careful planner avoids in the same attack; ``baseline_own``: the other way round.
+    that the baseline avoids in the same attack; ``baseline_own``: the other way round.
     ``by``: what is reported, by kind of failure and quantity; empty: nothing.
     """
 
@@ -125,54 +132,64 @@ class Line(NamedTuple):
 
 
 def measured(asked: Asked, say: Callable[[str], None] = lambda _: None) -> list[Line]:
-    """The careful planner, its other seeds, the control, and each faulty copy.
+    """The control, each faulty copy, and what is without fault, compared with itself.
 
     ``say`` gets a line when a planner is done. Raises DeepmfError.
     """
     thresholds = gate.load(asked.thresholds)
     lines: list[Line] = []
-
-    def done(line: Line) -> None:
+    steps = (_copies, _careful_with_itself, _alike)
+    for line in chain.from_iterable(step(asked, thresholds) for step in steps):
         lines.append(line)
         say(_told(line, asked))
+    return lines
 
-    baseline = _run(asked, {"fault": "none"}, "careful", asked.seeds)
-    done(Line("careful", _found(baseline)))
-    sets = [baseline]
-    for seeds in asked.other_seeds:
+
+def _copies(asked: Asked, thresholds: gate.Thresholds) -> Iterator[Line]:
+    baseline = _run(asked, _CONTROL, "control", asked.seeds)
+    yield Line(CONTROL, _found(baseline))
+    for name in asked.faults:
+        out = _run(asked, {"fault": name}, name, asked.seeds, baseline)
+        found, later = _judged(asked, out, baseline, thresholds), None
+        if asked.later_seeds and not found.by:
+            out, later = _with_later_seeds(asked, name, thresholds)
+        yield Line(name, found, later, first_cause(name, out) if name in FAULTS else None)
+
+
+def _careful_with_itself(asked: Asked, thresholds: gate.Thresholds) -> Iterator[Line]:
+    """At other moments."""
+    sets = []
+    for seeds in (asked.seeds, *asked.other_seeds) if asked.other_seeds else ():
         name = "-".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         sets.append(_run(asked, {"fault": "none"}, f"careful_{name}", seeds))
         for old in sets[:-1]:
             found = _judged(asked, sets[-1], old, thresholds, again=False)
-            done(Line(f"{_name(sets[-1])} against {_name(old)}", found))
-    copies: list[tuple[str, dict[str, Any], str]] = [
-        (CONTROL, {"fault": "none", "unguarded": True}, "control"),
-        *((name, {"fault": name}, name) for name in asked.faults),
-    ]
-    for name, settings, folder in copies:
-        out = _run(asked, settings, folder, asked.seeds, baseline)
-        found = _judged(asked, out, baseline, thresholds)
-        later = None
-        if asked.later_seeds and not found.by:
-            out, later = _with_later_seeds(asked, settings, folder, thresholds)
-        done(Line(name, found, later, first_cause(name, out) if name in FAULTS else None))
-    return lines
+            yield Line(f"{_name(sets[-1])} against {_name(old)}", found)
+
+
+def _alike(asked: Asked, thresholds: gate.Thresholds) -> Iterator[Line]:
+    """At the same moments, with other errors."""
+    baseline, sets = asked.out / "control", list[Path]()
+    for seed in asked.alike:
+        settings = {**_CONTROL, "noise": seed}
+        sets.append(_run(asked, settings, f"alike_{seed}", asked.seeds, baseline))
+        for old in sets[:-1]:
+            found = _judged(asked, sets[-1], old, thresholds)
+            yield Line(f"{_name(sets[-1])} against {_name(old)}", found)
 
 
 def _name(folder: Path) -> str:
     return folder.name.replace("_", " seed ")
 
 
-def _with_later_seeds(
-    asked: Asked, settings: dict[str, Any], folder: str, thresholds: gate.Thresholds
-) -> tuple[Path, Found]:
-    """All seeds of a copy, and of the careful planner; runs that are there are kept."""
+def _with_later_seeds(asked: Asked, fault: str, thresholds: gate.Thresholds) -> tuple[Path, Found]:
+    """All seeds of a copy, and of the control; runs that are there are kept."""
     seeds = (*asked.seeds, *asked.later_seeds)
-    for one in ("careful", folder):
+    for one in ("control", fault):
         if not (asked.out / f"{one}_later").exists():
             shutil.copytree(asked.out / one, asked.out / f"{one}_later")
-    baseline = _run(asked, {"fault": "none"}, "careful_later", seeds)
-    out = _run(asked, settings, f"{folder}_later", seeds, baseline)
+    baseline = _run(asked, _CONTROL, "control_later", seeds)
+    out = _run(asked, {"fault": fault}, f"{fault}_later", seeds, baseline)
     return out, _judged(asked, out, baseline, thresholds)
 
 
@@ -200,9 +217,11 @@ def table(lines: Sequence[Line]) -> str:
             f"{kind}: {first} of {len(of)} reported with the first seeds, {all_seeds} with all;"
             f" of {causes} the first cause is the fault's own"
         )
-    pairs = [one for one in lines if " against " in one.planner]
-    alarms = sum(bool(one.first.by) for one in pairs)
-    rows.append(f"careful with itself: {alarms} of {len(pairs)} reported")
+    for kind, said in (("careful", "careful with itself"), ("alike", "equally good planners")):
+        pairs = [one for one in lines
+                 if one.planner.startswith(kind) and " against " in one.planner]  # fmt: skip
+        alarms = sum(bool(one.first.by) for one in pairs)
+        rows.append(f"{said}: {alarms} of {len(pairs)} reported")
     return "\n".join(rows)
 
 
@@ -237,7 +256,7 @@ def _told(line: Line, asked: Asked) -> str:
 
 
 def _run(
-    asked: Asked, settings: dict[str, Any], folder: str, seeds: Sequence[int],
+    asked: Asked, settings: Mapping[str, Any], folder: str, seeds: Sequence[int],
     like: Path | None = None,
 ) -> Path:  # fmt: skip
     """The result folder of a planner; with ``like`` at the moments of that folder's runs."""
@@ -294,7 +313,8 @@ def _judged(
     """
 
     def repeat(new: Path, old: Path) -> gate.SameAttacks:
-        folder, level = asked.out / "same_attacks" / out.name, thresholds.baseline.confidence
+        folder = asked.out / "same_attacks" / f"{out.name}--{baseline.name}"
+        level = thresholds.baseline.confidence
         return same_attacks.repeated(new, old, folder, level, asked.jobs)
 
     verdict = gate.check(out, thresholds, baseline, repeat=repeat if again else None)

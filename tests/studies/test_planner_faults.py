@@ -244,6 +244,7 @@ def test_the_table_counts_reports_of_each_half_and_false_alarms():
         measure.Line("careful", nothing),
         measure.Line("careful seed 101 against careful", told),
         measure.Line("careful seed 102 against careful", nothing),
+        measure.Line("alike seed 2 against alike seed 1", nothing),
         measure.Line("narrow", nothing, told, measure.First("It turned.", own=True)),
         measure.Line("tailgates", told),
         measure.Line("speeding", nothing, nothing),
@@ -251,4 +252,6 @@ def test_the_table_counts_reports_of_each_half_and_false_alarms():
     text = measure.table(lines)
     assert "open: 1 of 2 reported with the first seeds, 2 with all; of 1 the first cause" in text
     assert "held out: 0 of 1 reported with the first seeds, 0 with all; of 0 " in text
-    assert text.endswith("careful with itself: 1 of 2 reported")
+    assert text.endswith(
+        "careful with itself: 1 of 2 reported\nequally good planners: 0 of 1 reported"
+    )

@@ -1,14 +1,15 @@
 """The thresholds file (strict YAML, like specs), and what is judged by it.
 
 Against a baseline a judged quantity is worse if the interval of the difference lies beyond the
-tolerance, and better if it does on the other side. It passes if the interval rules out a worsening
-of the size that must be ruled out. Else the runs cannot tell. The intervals of all judged
-comparisons hold together (Bonferroni), at each end: equal planners raise a false alarm in at most
-1 - confidence of all jobs, and a planner that is worse by more passes in at most as many, however
-much is compared.
+tolerance, and better if it does on the other side. It is worse, too, if more situations are worse
+than chance explains, see `comparison.change`. It passes if the interval rules out a worsening of
+the size that must be ruled out. Else the runs cannot tell. The intervals of all judged comparisons
+hold together (Bonferroni), at each end, and so do the counts of situations: equal planners raise a
+false alarm by either in at most 1 - confidence of all jobs, and a planner that is worse by more
+passes in at most as many, however much is compared.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,7 +23,14 @@ from pydantic_core import PydanticCustomError
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.results import frames
 from deepmf_sumo.results.comparison import QuantityChange, change
-from deepmf_sumo.results.quantities import COMPARABLE, RULES, TTC_CEILING_S, Quantity, no_quantity
+from deepmf_sumo.results.quantities import (
+    COMPARABLE,
+    RULES,
+    TTC_CEILING_S,
+    Quantity,
+    no_quantity,
+    share,
+)
 from deepmf_sumo.results.run_sets import RunSet
 from deepmf_sumo.spec.document import read
 from deepmf_sumo.spec.loading import checked
@@ -179,7 +187,8 @@ class BoundJudgement:
         interval: 95 % of a rate, for the reader; the value itself is judged.
         runs: with a value.
         state: ``unfit`` where the runs are not enough for a judgement; ``no value`` where there
-            was nothing to measure, e.g. no hit whose speed could be too high.
+            was nothing to measure, e.g. no hit whose speed could be too high; ``as before`` where
+            runs of the baseline are beyond the bound, too, and no more than chance explains.
         blamed: ids of the runs that a broken bound is due to.
     """
 
@@ -189,21 +198,59 @@ class BoundJudgement:
     value: float | None
     unit: str
     runs: int
-    state: Literal["held", "broken", "no value", "unfit"]
+    state: Literal["held", "broken", "as before", "no value", "unfit"]
     interval: tuple[float, float] | None = None
     blamed: tuple[str, ...] = ()
 
 
-def judge(thresholds: Thresholds, runs: pd.DataFrame) -> list[BoundJudgement]:
+def judge(
+    thresholds: Thresholds, runs: pd.DataFrame, old: pd.DataFrame | None = None
+) -> list[BoundJudgement]:
     """Every bound, over all runs of a `run_sets.RunSet` and over each group.
+
+    ``old``: runs of the baseline. Limits that nobody set are then broken by what is new: where runs
+    of the baseline are beyond them, too, only by more of them than chance explains.
 
     Raises UsageError for a group that no run belongs to.
     """
-    return [
+    found = [
         judgement
         for group, limits, members in _groups(thresholds, runs)
         for judgement in _judge(group, limits, members)
     ]
+    return found if old is None else _against(found, thresholds, runs, old)
+
+
+def _against(
+    found: Sequence[BoundJudgement], limits: Thresholds, new: pd.DataFrame, old: pd.DataFrame
+) -> list[BoundJudgement]:
+    """The judgements, where limits by default are compared with the baseline."""
+    known = {one.limit for one in found
+             if one.group == ALL and one.state == "broken" and one.limit in RULES
+             and one.limit not in limits.limits and _beyond(one.limit, old).any()}  # fmt: skip
+    alone = (1 - limits.baseline.confidence) / max(len(known), 1)
+    kept = {name for name in known if not _more_beyond(name, new, old, alone)}
+    return [
+        replace(one, state="as before", blamed=())
+        if one.group == ALL and one.limit in kept
+        else one
+        for one in found
+    ]
+
+
+def _beyond(name: str, runs: pd.DataFrame) -> "pd.Series[bool]":
+    """Which runs are beyond a rule's limit."""
+    values, limit = runs[name], RULES[name].limit
+    return values < limit if RULES[name].worse == "lower" else values > limit
+
+
+def _more_beyond(name: str, new: pd.DataFrame, old: pd.DataFrame, one_sided: float) -> bool:
+    after, before = (
+        runs.assign(**{name: _beyond(name, runs).astype(float).where(runs[name].notna())})
+        for runs in (new, old)
+    )
+    found = change(share(name), after, before, 1 - 2 * one_sided, one_sided=True)
+    return found.state == "worse"
 
 
 def _groups(
