@@ -311,3 +311,51 @@ def test_false_alarms_are_rare_and_regressions_are_found():
     found = sum("worse" in states(wanted, results(0.95), results(0.2)) for _ in range(10))
     assert alarms <= 2
     assert found == 10
+
+
+@pytest.mark.parametrize(("worse", "better"), [(4, 0), (5, 0), (6, 1), (7, 1), (10, 4), (11, 4)])
+def test_a_quantity_is_worse_where_more_situations_are_than_a_fair_coin_gives(worse, better):
+    """The other way round it is not better for that, and a small difference counts for nothing."""
+    changes = [0.3] * worse + [-0.3] * better + [0.04] * 9 + [0.0] * 10
+    new, old = values_of("impact_mps", changes), values_of("impact_mps", [0.0] * len(changes))
+    [found] = compared(IMPACT, new, old)
+    tells = binom.sf(worse - 1, worse + better, 0.5) < 0.05
+    assert found.often == ((worse, better) if tells else None)
+    assert (found.state == "worse") == tells
+    assert states(IMPACT, old, new)[0] not in {"worse", "better"}
+    both = change(COMPARABLE["impact_mps"], new.runs, old.runs, found.found.confidence)
+    assert both.state != "worse"
+
+
+def test_many_small_worsenings_beside_a_great_improvement_are_not_worse():
+    changes = [0.3] * 12 + [-12.0]
+    new, old = values_of("impact_mps", changes), values_of("impact_mps", [0.0] * len(changes))
+    [found] = compared(IMPACT, new, old)
+    assert (found.state, found.often) == ("cannot tell", None)
+
+
+def test_less_time_in_most_situations_is_worse_and_more_is_not():
+    less = values_of("ttc_s", [4.5] * 7 + [5.0] * 20)
+    more = values_of("ttc_s", [5.0] * 27)
+    wanted = Baseline(quantities=("ttc_s",))
+    assert compared(wanted, less, more)[0].often == (7, 0)
+    assert compared(wanted, more, less)[0].often is None
+
+
+@pytest.mark.slow_unit
+def test_situations_of_four_quantities_are_rarely_worse_by_chance():
+    """Equally good planners that drive differently, in 30 situations: at most 5 % of the jobs."""
+    rng = np.random.default_rng(5)
+
+    def results():
+        some = rng.normal(0, 1, 30) * (rng.random(30) < 0.8)
+        each = (some + rng.normal(0, 0.3, 30) for _ in QUANTITIES)
+        shown = dict(zip(QUANTITIES, (0.3 * one for one in each), strict=True))
+        rows = [gate_doubles.row(f"s{n}", **{name: float(values[n]) for name, values in
+                shown.items()}) for n in range(30)]  # fmt: skip
+        return gate_doubles.results_of(rows, Path())
+
+    wanted = Baseline(quantities=QUANTITIES)
+    jobs = [compared(wanted, results(), results()) for _ in range(60)]
+    alarms = sum(any(one.often for one in found) for found in jobs)
+    assert 0 < alarms <= 0.05 * len(jobs) + 2 * np.sqrt(0.05 * 0.95 * len(jobs))

@@ -156,6 +156,35 @@ def test_rules_have_limits_of_their_own(tmp_path, over, state):
     assert len(judge(tmp_path, "", [row("b", 0, ttc_s=1.0)])) == 2  # failed and judged runs
 
 
+def red_runs(scenes, of=30):
+    return [row(f"s{n}", av_red_run_rate=float(n in scenes)) for n in range(of)]
+
+
+@pytest.mark.parametrize(
+    ("new", "old", "state"),
+    [
+        ([0, 1, 2], [3, 4, 5], "as before"), ([0], [1, 2], "as before"), (range(8), [9], "broken"),
+        (range(3), [9], "as before"), ([4], [], "broken"), ([0, 1, 2], [0, 1, 2], "as before"),
+    ],
+)  # fmt: skip
+def test_what_runs_of_the_baseline_break_too_is_broken_by_more_runs(tmp_path, new, old, state):
+    """Sign test by hand: 8 against 1 are 0.02, 3 against 1 are 0.31."""
+    sides = [frame_of(red_runs(one)) for one in (new, old)]
+    [found] = [one for one in thresholds.judge(load(tmp_path, ""), *sides) if "red" in one.limit]
+    assert (found.state, bool(found.blamed)) == (state, state == "broken")
+    strict = load(tmp_path, "limits: {av_red_run_rate: 0}")
+    [found] = [one for one in thresholds.judge(strict, *sides) if "red" in one.limit]
+    assert found.state == "broken"
+
+
+def test_other_moments_are_compared_by_how_many_break_a_limit(tmp_path):
+    rows = [{**one, "scene": f"other {one['scene']}", "run_id": f"other {one['run_id']}"}
+            for one in red_runs([0, 1])]  # fmt: skip
+    sides = [frame_of(one) for one in (rows, red_runs([5]))]
+    [found] = [one for one in thresholds.judge(load(tmp_path, ""), *sides) if "red" in one.limit]
+    assert found.state == "as before"
+
+
 def test_limits_of_quantities_can_be_set(tmp_path):
     rows = [row("a", 0, av_over_limit_mps=3.0, ttc_s=0.5)]
     found = judge(tmp_path, "limits: {av_over_limit_mps: 4, ttc_s: 1}", rows)

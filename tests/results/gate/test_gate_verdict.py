@@ -266,3 +266,15 @@ def test_a_broken_rule_is_told_with_its_kind_and_runs(tmp_path):
     assert red == f"all runs: {what}; in made-up--a--1"
     what = "frozen command: av_frozen_s is 0.5 s (1 run), allowed at most 0.25 s"
     assert frozen == f"all runs: {what}; in made-up--a--2"
+
+
+def test_a_rule_that_the_baseline_breaks_too_is_shown_and_no_failure(tmp_path):
+    runs = [gate_doubles.result("a", seed, spec=f"spec {seed}") for seed in range(20)]
+    runs[3]["metrics"]["av_red_run"] = {"value": 1.0}
+    old = gate_doubles.write_folder(tmp_path / "old", runs)
+    new = gate_doubles.write_folder(tmp_path / "new", runs)
+    verdict = gate.check(new, thresholds(tmp_path), old)
+    assert "as before" in verdict_module.text(verdict)
+    assert not any("red run" in sentence for sentence in verdict.findings())
+    write_junit(tmp_path / "junit.xml", verdict)
+    assert cases(tmp_path / "junit.xml")[0]["all runs: av_red_run_rate"] == {}
