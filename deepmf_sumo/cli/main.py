@@ -118,7 +118,12 @@ def main() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of files can be any bytes
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    if code == EXIT_CODES["interrupted"]:
+        # Under `python -m`, CPython ends itself by SIGINT if an interrupt once left a text that
+        # `exec` ran, as imports of data classes do, however it was handled; the next text resets it
+        exec("")  # noqa: S102
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

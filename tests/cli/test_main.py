@@ -291,3 +291,19 @@ def test_terminate_is_an_interrupt():
     _, errors = child.communicate(timeout=10)
     assert child.returncode == 130
     assert errors.decode().strip() == "deepmf-sumo: interrupted"
+
+
+def test_an_interrupt_while_a_text_is_executed_ends_with_the_same_code(tmp_path):
+    """As in the import of a data class; under `python -m`, CPython would end by SIGINT."""
+    (tmp_path / "interrupted.py").write_text(
+        "import click\n"
+        "from deepmf_sumo.cli import main\n"
+        "@click.command()\n"
+        "def command():\n"
+        "    exec('raise KeyboardInterrupt')\n"
+        "main.Commands.get_command = lambda *_: command\n"
+        "main.main()"
+    )
+    line = [sys.executable, "-m", "interrupted", "x"]
+    done = subprocess.run(line, check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.strip()) == (130, "deepmf-sumo: interrupted")

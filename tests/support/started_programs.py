@@ -5,6 +5,7 @@ it fails as soon as it starts libsumo, a program or a worker process. A fixture 
 for the fixture `starts_sumo`, which marks each test that uses it.
 """
 
+import platform
 import sys
 from collections.abc import Callable
 from multiprocessing import util
@@ -72,5 +73,6 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
         refuse("import libsumo")
 
 
+platform.platform()  # starts `uname` the first time in a process
 sys.addaudithook(_audit)
 _guard(util, "spawnv_passfds")
