@@ -119,6 +119,8 @@ def main() -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of files can be any bytes
     code = run(sys.argv[1:])
+    for number in (signal.SIGINT, signal.SIGTERM):  # the rest is Python's own end, and has no code
+        signal.signal(number, signal.SIG_IGN)
     if code == EXIT_CODES["interrupted"]:
         # Under `python -m`, CPython ends itself by SIGINT if an interrupt once left a text that
         # `exec` ran, as imports of data classes do, however it was handled; the next text resets it

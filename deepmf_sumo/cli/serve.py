@@ -89,7 +89,8 @@ def command(
         code = exit_code("interrupted" if stopped() else "failed" if server.unused else "fine")
         for one in server.complaints:
             click.echo(f"deepmf-sumo: {one}", err=True)
-        server.check()
+        if not stopped():  # a signal to the whole group has ended SUMO, too
+            server.check()
     if (out / SUMO_FILES).is_dir():
         click.echo(f"what SUMO itself wrote is in {out / SUMO_FILES}")
     ctx.exit(code if server.joined else exit_code("interrupted"))
@@ -166,6 +167,8 @@ def _simulations(
                 left=lambda: server.left,
             )  # fmt: skip
         except SimulationError:
+            if stopped():
+                return
             server.check(_SUMO_ENDS_S)  # what SUMO ended with says more
             raise
         undriven += done.undriven

@@ -80,6 +80,7 @@ def commands(folder: Path) -> dict[str, LongCommand]:
                 "serve", "tiny.sumocfg", "--port", "PORT", "--av", "av", "--out", "OUT",
                 "--", "--step-length", "0.1",
             ),
+            resumes=False,
             compares=False,
         ),
         "train": LongCommand(

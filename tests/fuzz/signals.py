@@ -115,6 +115,9 @@ class Disturbed:
         ``ended`` is before the signal; ``went on`` came to its end in spite of it.
         """
         what = f"{self.name} {number.name} ({self.number})"
+        before = set(
+            parts(self.out)
+        )  # of a SIGKILL: a command that ends early leaves them to others
         with self._running() as process:
             try:
                 process.wait(rng.uniform(0.0, self.whole_s))
@@ -129,6 +132,8 @@ class Disturbed:
         if not ended and process.returncode in self.command.codes:
             state = "went on"
         self._judge(process.returncode, what, said, number, state)
+        if number != signal.SIGKILL and (left := set(parts(self.out)) - before):
+            self.wrong.append(f"{what}: parts are left: {sorted(left)}")
         if not self.finished.items() <= now.items():
             self.wrong.append(f"{what}: a finished run is lost or done again")
         self.finished = now

@@ -208,8 +208,8 @@ def judge(
 ) -> list[BoundJudgement]:
     """Every bound, over all runs of a `run_sets.RunSet` and over each group.
 
-    ``old``: runs of the baseline. Limits that nobody set are then broken by what is new: where runs
-    of the baseline are beyond them, too, only by more of them than chance explains.
+    ``old``: runs of the baseline. If some of them are beyond a default limit, too, that limit is
+    broken only by more runs than chance explains.
 
     Raises UsageError for a group that no run belongs to.
     """
@@ -224,33 +224,36 @@ def judge(
 def _against(
     found: Sequence[BoundJudgement], limits: Thresholds, new: pd.DataFrame, old: pd.DataFrame
 ) -> list[BoundJudgement]:
-    """The judgements, where limits by default are compared with the baseline."""
-    known = {one.limit for one in found
-             if one.group == ALL and one.state == "broken" and one.limit in RULES
-             and one.limit not in limits.limits and _beyond(one.limit, old).any()}  # fmt: skip
-    alone = (1 - limits.baseline.confidence) / max(len(known), 1)
-    kept = {name for name in known if not _more_beyond(name, new, old, alone)}
-    return [
-        replace(one, state="as before", blamed=())
-        if one.group == ALL and one.limit in kept
-        else one
+    """The judgements, where default limits are compared with the baseline."""
+    default = RULES.keys() - limits.limits.keys()
+    shared = [
+        one
         for one in found
+        if (one.group, one.state) == (ALL, "broken")
+        and one.limit in default
+        and _beyond(one.limit, one.bound, old).any()
     ]
+    alone = (1 - limits.baseline.confidence) / max(len(shared), 1)
+    kept = {id(one) for one in shared if not _more_beyond(one, new, old, alone)}
+    return [replace(one, state="as before", blamed=()) if id(one) in kept else one for one in found]
 
 
-def _beyond(name: str, runs: pd.DataFrame) -> "pd.Series[bool]":
-    """Which runs are beyond a rule's limit."""
-    values, limit = runs[name], RULES[name].limit
-    return values < limit if RULES[name].worse == "lower" else values > limit
-
-
-def _more_beyond(name: str, new: pd.DataFrame, old: pd.DataFrame, one_sided: float) -> bool:
+def _more_beyond(
+    one: BoundJudgement, new: pd.DataFrame, old: pd.DataFrame, one_sided: float
+) -> bool:
+    """Whether more runs break a limit than runs of the baseline and chance explain."""
+    name = one.limit
     after, before = (
-        runs.assign(**{name: _beyond(name, runs).astype(float).where(runs[name].notna())})
+        runs.assign(**{name: _beyond(name, one.bound, runs).where(runs[name].notna())})
         for runs in (new, old)
     )
-    found = change(share(name), after, before, 1 - 2 * one_sided, one_sided=True)
-    return found.state == "worse"
+    return change(share(name), after, before, 1 - 2 * one_sided, one_sided=True).state == "worse"
+
+
+def _beyond(name: str, bound: float, runs: pd.DataFrame) -> "pd.Series[float]":
+    """1 for runs that are worse than a limit, else 0, also without a value."""
+    worse = runs[name] < bound if COMPARABLE[name].worse == "lower" else runs[name] > bound
+    return worse.astype(float)
 
 
 def _groups(
@@ -317,12 +320,11 @@ def _limit(group: str, name: str, bound: float, runs: pd.DataFrame) -> BoundJudg
     quantity, values = COMPARABLE[name], _values(name, runs)
     if not values:
         return _without_value(group, name, bound, quantity, runs)
-    lower = quantity.worse == "lower"
-    worst = (min if lower else max)(values.values())
-    blamed = [key for key, one in values.items() if (one < bound if lower else one > bound)]
+    worst = (min if quantity.worse == "lower" else max)(values.values())
+    blamed = tuple(runs.loc[_beyond(name, bound, runs) > 0, "run_id"])
     return BoundJudgement(
         group=group, limit=name, bound=bound, value=worst, unit=quantity.unit, runs=len(values),
-        state="broken" if blamed else "held", blamed=tuple(blamed),
+        state="broken" if blamed else "held", blamed=blamed,
     )  # fmt: skip
 
 
