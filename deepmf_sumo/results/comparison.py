@@ -5,13 +5,13 @@ interval and what that decides are made here, of `matching`.
 """
 
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Final, Literal
 
 import pandas as pd
 
 from deepmf_sumo.results.matching import Matched, answer, match
-from deepmf_sumo.results.quantities import Quantity
-from deepmf_sumo.results.statistics import by_chance
+from deepmf_sumo.results.quantities import Quantity, share
 
 State = Literal["worse", "better", "within margin", "cannot tell", "not judged"]
 
@@ -25,8 +25,6 @@ class QuantityChange:
         tolerance: a difference up to it does not matter, however sure it is.
         margin: the whole interval must lie within it for ``within margin``.
         needed: about how many units would decide, where these do not.
-        often: situations that are worse by more than the tolerance, and better; where they alone
-            say ``worse``, else None.
         group: what the runs have in common, e.g. ``planner idm corridor``; empty for all.
     """
 
@@ -37,7 +35,6 @@ class QuantityChange:
     tolerance: float
     margin: float
     needed: int | None = None
-    often: tuple[int, int] | None = None
     group: str = ""
 
 
@@ -55,19 +52,13 @@ def change(
 ) -> QuantityChange:
     """What the runs say of a quantity, by name a column of both frames.
 
-    The mean says little where few situations differ, or differ little beside how much situations
-    vary. ``one_sided``, a quantity is therefore worse, too, if more situations are worse than
-    better, by more than the tolerance, than a fair coin would give (sign test), and if the mean is
-    not better. A planner compared with itself in the same situations differs in none.
-
     Args:
         quantity: what is compared.
         new: runs as of `Results.frame`.
         old: the same.
         confidence: of the two-sided interval.
         bounds: tolerance and margin; those of the quantity where none are given.
-        one_sided: only a worsening beyond the margin must be ruled out for ``within margin``, and
-            situations are counted.
+        one_sided: only a worsening beyond the margin must be ruled out for ``within margin``.
     """
     tolerance, margin = bounds or (quantity.negligible, quantity.margin)
     found = match(quantity.name, new, old, confidence, quantity.largest)
@@ -78,28 +69,58 @@ def change(
         state = "worse" if said == _WORSE[quantity.worse] else "better"
     else:
         state = "within margin" if said == "within margin" else "cannot tell"
-    often = None
-    if one_sided and state != "worse":
-        often = _oftener_worse(found, quantity, tolerance, (1 - confidence) / 2)
     return QuantityChange(
         quantity=quantity.name,
         unit=quantity.unit,
         found=found,
-        state="worse" if often else state,
+        state=state,
         tolerance=tolerance,
         margin=margin,
-        needed=None if often else needed,
-        often=often,
+        needed=needed,
     )
 
 
-def _oftener_worse(
-    found: Matched, quantity: Quantity, tolerance: float, level: float
-) -> tuple[int, int] | None:
-    """How many situations are worse, and better; None if chance explains that."""
-    sign = -1 if quantity.worse == "lower" else 1
-    changes = [sign * mean for _, mean in found.each]
-    worse = sum(one > tolerance for one in changes)
-    better = sum(one < -tolerance for one in changes)
-    told = sum(changes) > 0 and by_chance(worse, better) < level
-    return (worse, better) if told else None
+LEANING: Final = "pairs with worse "
+"""Begin of the name of a quantity of `leaning`."""
+
+
+def leaning(
+    quantity: Quantity,
+    new: pd.DataFrame,
+    old: pd.DataFrame,
+    confidence: float,
+    *,
+    one_sided: bool = False,
+) -> QuantityChange:
+    """The shares of pairs in which one side is worse by more than is negligible.
+
+    A few runs with large differences hide many small ones in a mean, but not in these shares. A
+    planner compared with itself in the same situations is worse in none.
+
+    Args:
+        quantity: a number, not a rate.
+        new: runs; those of pairs have equal ids.
+        old: the same.
+        confidence: see `change`.
+        one_sided: the same.
+    """
+    sign = 1.0 if quantity.worse == "higher" else -1.0
+    of_share = share(f"{LEANING}{quantity.name}")
+    before, now = _values(old, quantity.name), _values(new, quantity.name)
+    worse = {key: sign * (value - before[key]) for key, value in now.items() if key in before}
+    pairs = new.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
+    pairs = pairs.loc[list(worse)]
+    ours, theirs = (
+        [float(way * one > quantity.negligible) for one in worse.values()] for way in (1.0, -1.0)
+    )
+    marked = pairs.assign(**{of_share.name: ours}), pairs.assign(**{of_share.name: theirs})
+    return change(of_share, *marked, confidence, one_sided=one_sided)
+
+
+def _values(runs: pd.DataFrame, name: str) -> dict[str, float]:
+    """The value of each situation and seed that has one."""
+    values: dict[str, list[float]] = {}
+    for run_id, value in zip(runs["run_id"], runs[name], strict=True):
+        if not pd.isna(value):
+            values.setdefault(run_id, []).append(float(value))
+    return {run_id: fmean(found) for run_id, found in values.items()}

@@ -26,6 +26,7 @@ import yaml
 
 from deepmf_sumo import spec as specs
 from deepmf_sumo.results import gate
+from deepmf_sumo.results.comparison import LEANING
 from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import FromMoments, Spec
@@ -331,7 +332,7 @@ def _judged(
 def reported(verdict: gate.GateVerdict) -> tuple[str, ...]:
     """What is broken or worse, by kind of failure and quantity."""
     by = [_named(one.limit) for one in verdict.judgements if one.state == "broken"]
-    by += [_named(one.quantity) for one in verdict.comparisons or () if one.state == "worse"]
+    by += [_named(one.quantity) for one in verdict.compared if one.state == "worse"]
     same = verdict.same_attacks
     by += [f"own hits (chance {same.chance:.1g})"] if same and same.state == "worse" else []
     return tuple(by)
@@ -339,5 +340,5 @@ def reported(verdict: gate.GateVerdict) -> tuple[str, ...]:
 
 def _named(quantity: str) -> str:
     """``red run (av_red_run_rate)``."""
-    known = COMPARABLE.get(quantity)
+    known = COMPARABLE.get(quantity.removeprefix(LEANING))
     return f"{known.failure} ({quantity})" if known and known.failure else quantity

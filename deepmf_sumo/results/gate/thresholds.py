@@ -1,12 +1,11 @@
 """The thresholds file (strict YAML, like specs), and what is judged by it.
 
 Against a baseline a judged quantity is worse if the interval of the difference lies beyond the
-tolerance, and better if it does on the other side. It is worse, too, if more situations are worse
-than chance explains, see `comparison.change`. It passes if the interval rules out a worsening of
-the size that must be ruled out. Else the runs cannot tell. The intervals of all judged comparisons
-hold together (Bonferroni), at each end, and so do the counts of situations: equal planners raise a
-false alarm by either in at most 1 - confidence of all jobs, and a planner that is worse by more
-passes in at most as many, however much is compared.
+tolerance, and better if it does on the other side. It passes if the interval rules out a worsening
+of the size that must be ruled out. Else the runs cannot tell. The intervals of all judged
+comparisons hold together (Bonferroni), at each end: equal planners raise a false alarm in at most
+1 - confidence of all jobs, and a planner that is worse by more passes in at most as many, however
+much is compared. So do, apart from them, those of the shares of pairs that are worse.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.results import frames
-from deepmf_sumo.results.comparison import QuantityChange, change
+from deepmf_sumo.results.comparison import QuantityChange, change, leaning
 from deepmf_sumo.results.quantities import (
     COMPARABLE,
     RULES,
@@ -423,6 +422,29 @@ def compare(wanted: Baseline, new: RunSet, old: RunSet) -> list[QuantityChange]:
         beside = [replace(one, state="not judged", needed=None) for one in beside]
         found += [replace(one, group=group) for one in (*judged, *beside)]
     return found
+
+
+def leanings(
+    wanted: Baseline, new: RunSet, old: RunSet, found: Sequence[QuantityChange]
+) -> list[QuantityChange]:
+    """Judged numbers that are worse in more pairs than chance explains, see `comparison.leaning`.
+
+    Not those of which ``found``, the comparisons, says so already. Empty without pairs.
+    """
+    told = {(one.group, one.quantity) for one in found if one.state == "worse"}
+    groups = _members(wanted.by, new.runs)
+    numbers = [COMPARABLE[name] for name in wanted.quantities if not COMPARABLE[name].rate]
+    alone = (1 - wanted.confidence) / max(len(groups) * len(numbers), 1)
+    more = []
+    for group, member in groups.items():
+        after, before = (_of(side, wanted.by, member) for side in (new, old))
+        each = (
+            leaning(one, after, before, 1 - 2 * alone, one_sided=True)
+            for one in numbers
+            if (group, one.name) not in told
+        )
+        more += [replace(one, group=group) for one in each if one.state == "worse"]
+    return more
 
 
 def _some(names: set[str]) -> str:

@@ -18,7 +18,7 @@ import pandas as pd
 from deepmf_sumo import files
 from deepmf_sumo.errors import Ending, UsageError, exit_code
 from deepmf_sumo.results import run_sets, setups
-from deepmf_sumo.results.comparison import QuantityChange
+from deepmf_sumo.results.comparison import LEANING, QuantityChange
 from deepmf_sumo.results.frames import rows_of
 from deepmf_sumo.results.gate.own_hits import SameAttacks
 from deepmf_sumo.results.gate.thresholds import (
@@ -29,6 +29,7 @@ from deepmf_sumo.results.gate.thresholds import (
     Thresholds,
     compare,
     judge,
+    leanings,
 )
 from deepmf_sumo.results.junit import Mark, TestCase, write_suites
 from deepmf_sumo.results.matching import Matched
@@ -47,6 +48,7 @@ class GateVerdict:
 
     Attributes:
         comparisons: None without a baseline, or where ``apart`` says why there is none.
+        leanings: quantities that are worse in more pairs than chance explains.
         apart: in what the attack differs from the baseline's, so that nothing can be compared.
         same_attacks: None where hits were not repeated.
         notes: sentences on what a reader should know before trusting it.
@@ -59,6 +61,7 @@ class GateVerdict:
     same_attacks: SameAttacks | None
     notes: list[str]
     apart: list[str] = field(default_factory=list)
+    leanings: list[QuantityChange] = field(default_factory=list)
 
     @property
     def ending(self) -> Ending:
@@ -94,12 +97,17 @@ class GateVerdict:
         [*first] = rows_of(runs[runs["run_id"].isin(one.blamed[:1])])
         return "".join(f"; e.g. {run.run_id}: {run.error}" for run in first if run.error)
 
+    @property
+    def compared(self) -> list[QuantityChange]:
+        """Comparisons, and leanings."""
+        return [*(self.comparisons or ()), *self.leanings]
+
     def _broken(self) -> Iterator[str]:
         for one in self.judgements:
             if one.state == "broken":
                 at_most = one.limit in COMPARABLE and one.blamed
                 yield sentence(one) + (_where(one.blamed) if at_most else "")
-        for each in self.comparisons or ():
+        for each in self.compared:
             if each.state == "worse":
                 yield regression(each)
         if self.same_attacks and self.same_attacks.state == "worse":
@@ -150,6 +158,7 @@ def check(
     comparisons, same_attacks = None, None
     apart: list[str] = []
     notes: list[str] = []
+    leaning: list[QuantityChange] = []
     if repeat and not place:
         raise UsageError("--same-attacks repeats hits of a baseline: name it with --baseline.")
     if renewed:
@@ -161,6 +170,7 @@ def check(
         apart = setups.differences(found, old)
         if not apart:
             comparisons = compare(thresholds.baseline, found, old)
+            leaning = leanings(thresholds.baseline, found, old, comparisons)
             notes = list(_notes(thresholds.baseline, found, old, comparisons))
             same_attacks = repeat(out, place) if repeat else None
     before = old.runs if old and not apart else None
@@ -172,6 +182,7 @@ def check(
         same_attacks=same_attacks,
         notes=[*found.switched_off, *filter(None, [found.earlier]), *notes],
         apart=apart,
+        leanings=leaning,
     )
 
 
@@ -209,23 +220,23 @@ def _where(blamed: Sequence[str]) -> str:
 def regression(one: QuantityChange) -> str:
     """``all runs: av_collision_rate was 0.1 and is 0.4: +0.3 (+0.1 to +0.5; 40 pairs)``.
 
-    What is worse also names where, most first: ``; most in 'cut-in' (+0.7), ...``, and how often,
-    where that alone says it: ``; worse in 18 situations and better in 5``.
+    What is worse also names where, most first: ``; most in 'cut-in' (+0.7), ...``.
     """
     what = _failure(one.quantity) if one.state == "worse" else ""
     change = f"was {_mean(one.found.old, one.unit)} and is {_mean(one.found.new, one.unit)}"
-    where = "; worse in {} situations and better in {}".format(*one.often) if one.often else ""
+    where = ""
     if one.state == "worse" and len(one.found.each) > 1:
-        sign = -1 if COMPARABLE[one.quantity].worse == "lower" else 1
+        known = COMPARABLE.get(one.quantity)
+        sign = -1 if known and known.worse == "lower" else 1
         most = sorted(one.found.each, key=lambda unit: -sign * unit[1])[:_NAMED]
         worse = [f"'{name}' ({mean:+.3g})" for name, mean in most if sign * mean > one.tolerance]
-        where += f"; most in {', '.join(worse)}" if worse else ""
+        where = f"; most in {', '.join(worse)}" if worse else ""
     return f"{one.group}: {what}{one.quantity} {change}: {difference(one.found)}{where}"
 
 
 def _failure(name: str) -> str:
     """``red run: ``: the kind of failure that a worse value of a quantity is, if it has a name."""
-    quantity = COMPARABLE.get(name)
+    quantity = COMPARABLE.get(name.removeprefix(LEANING))
     return f"{quantity.failure}: " if quantity and quantity.failure else ""
 
 
@@ -391,7 +402,7 @@ def thresholds(verdict: GateVerdict) -> Iterator[tuple[str, ...]]:
 
 def comparisons(verdict: GateVerdict) -> Iterator[tuple[str, ...]]:
     """Cells of the table of comparisons."""
-    for one in verdict.comparisons or ():
+    for one in verdict.compared:
         ends = (
             "-" if end is None else figure(end, one.unit) for end in (one.found.old, one.found.new)
         )
@@ -422,7 +433,7 @@ def write_junit(path: Path, verdict: GateVerdict) -> None:
     """Write the file. Raises OutputError."""
     suites = [("thresholds", [_threshold(one) for one in verdict.judgements])]
     if verdict.comparisons is not None:
-        judged = [one for one in verdict.comparisons if one.state != "not judged"]
+        judged = [one for one in verdict.compared if one.state != "not judged"]
         cases = [_comparison(one) for one in judged]
         if verdict.same_attacks:
             cases.append(_same_attacks(verdict.same_attacks))

@@ -8,15 +8,14 @@ enough pairs the means of moments, or all runs without pairs, are compared.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import fmean
 from typing import Any, Final
 
 import pandas as pd
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.results import quantities, run_sets, sessions
-from deepmf_sumo.results.comparison import QuantityChange, change
-from deepmf_sumo.results.quantities import COMPARABLE, Quantity, no_quantity
+from deepmf_sumo.results import run_sets, sessions
+from deepmf_sumo.results.comparison import QuantityChange, change, leaning
+from deepmf_sumo.results.quantities import COMPARABLE, no_quantity
 from deepmf_sumo.results.reader import MISSING, Run, judged_before, without_ladder
 from deepmf_sumo.results.risk.attacks import net_digest
 from deepmf_sumo.results.risk.origins import HitOrigin, origins, tagged
@@ -207,8 +206,6 @@ def differences(
 ) -> list[QuantityChange]:
     """Of each quantity the means, and for numbers in how many pairs each side is the worse one.
 
-    A few runs with large differences hide many small ones in a mean, but not in that count.
-
     Args:
         old: runs with the ids of `compare`: those of pairs are equal.
         new: the same.
@@ -218,33 +215,7 @@ def differences(
     numbers = [name for name in names if not COMPARABLE[name].rate]
     alone = 1 - (1 - confidence) / (len(names) + len(numbers))
     found = [change(COMPARABLE[name], new.runs, old.runs, alone) for name in names]
-    return found + [_leaning(COMPARABLE[name], old.runs, new.runs, alone) for name in numbers]
-
-
-def _leaning(
-    quantity: Quantity, old: pd.DataFrame, new: pd.DataFrame, confidence: float
-) -> QuantityChange:
-    """The shares of pairs in which one side is worse by more than is negligible."""
-    sign = 1.0 if quantity.worse == "higher" else -1.0
-    of_share = quantities.share(f"pairs with worse {quantity.name}")
-    before, now = _means(old, quantity.name), _means(new, quantity.name)
-    worse = {key: sign * (value - before[key]) for key, value in now.items() if key in before}
-    pairs = new.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
-    pairs = pairs.loc[list(worse)]
-    ours, theirs = (
-        [float(way * one > quantity.negligible) for one in worse.values()] for way in (1.0, -1.0)
-    )
-    marked = pairs.assign(**{of_share.name: ours}), pairs.assign(**{of_share.name: theirs})
-    return change(of_share, marked[0], marked[1], confidence)
-
-
-def _means(runs: pd.DataFrame, name: str) -> dict[str, float]:
-    """The value of each moment and seed that has one."""
-    values: dict[str, list[float]] = {}
-    for run_id, value in zip(runs["run_id"], runs[name], strict=True):
-        if not pd.isna(value):
-            values.setdefault(run_id, []).append(float(value))
-    return {run_id: fmean(found) for run_id, found in values.items()}
+    return found + [leaning(COMPARABLE[name], new.runs, old.runs, alone) for name in numbers]
 
 
 def _side(folder: Path) -> RunSet:

@@ -278,3 +278,23 @@ def test_a_rule_that_the_baseline_breaks_too_is_shown_and_no_failure(tmp_path):
     assert not any("red run" in sentence for sentence in verdict.findings())
     write_junit(tmp_path / "junit.xml", verdict)
     assert cases(tmp_path / "junit.xml")[0]["all runs: av_red_run_rate"] == {}
+
+
+def test_a_quantity_that_is_worse_in_most_pairs_is_a_failure_of_its_own(tmp_path):
+    runs = [gate_doubles.result("a", 0, spec=f"spec {number}") for number in range(40)]
+    for number, one in enumerate(runs):
+        one["metrics"]["av_time_gap_min"] = {"value": 2.0 + number % 3}
+    old = gate_doubles.write_folder(tmp_path / "old", runs)
+    for one in runs[:16]:
+        one["metrics"]["av_time_gap_min"]["value"] -= 0.3
+    new = gate_doubles.write_folder(tmp_path / "new", runs)
+    verdict = gate.check(new, gate.load(None), old)
+    assert verdict.exit_code == 1
+    [told] = [one for one in verdict.findings() if "cannot tell" not in one]
+    name = "pairs with worse av_inverse_time_gap_per_s"
+    assert told.startswith(f"all runs: short time gap: {name} was 0 and is 0.4: +0.4 (")
+    assert "; most in 'spec 0' (+1), " in told
+    assert f"| {name} |" in verdict_module.text(verdict)
+    write_junit(tmp_path / "junit.xml", verdict)
+    assert [*cases(tmp_path / "junit.xml")[0][f"baseline: all runs: {name}"]] == ["failure"]
+    assert gate.check(old, gate.load(None), new).leanings == []
