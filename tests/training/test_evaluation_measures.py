@@ -44,7 +44,8 @@ def forecast_of(modes_m, probability):
 
 def future_of(position_m, valid=None):
     valid = np.ones(80, bool) if valid is None else valid
-    return Future(agent_id="a", position_m=position_m, heading_rad=np.zeros(80), valid=valid)
+    level, ahead = np.zeros((2, 80))
+    return Future(agent_id="a", position_m=position_m, z_m=level, heading_rad=ahead, valid=valid)
 
 
 def test_auroc_counts_pairs_and_halves_ties():

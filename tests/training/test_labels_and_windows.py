@@ -3,13 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deepmf_sumo.deepmf.networks.config import LIGHT
 from deepmf_sumo.training.samples import opponent, windows
 
 from tests.support.synthetic import scene
 
 
 def interacts(scene, agent_id):
-    return bool(opponent.interacting(scene.tracks, scene.av_id, [agent_id])[0])
+    return bool(opponent.interacting(scene.tracks, scene.road, scene.av_id, [agent_id])[0])
 
 
 def test_ways_that_cross_at_different_times_interact():
@@ -33,6 +34,66 @@ def test_closer_than_the_avs_length_is_an_interaction():
     assert not interacts(
         replace(given, tracks=replace(given.tracks, position_m=position)), "parked"
     )
+
+
+def on_a_bridge(given, height, *raised):
+    """The road from the south passes over the other one, ``raised`` agents are on it."""
+    upper = {"south", "up", "north"}
+    lanes = {
+        name: replace(one, z_m=one.z_m + height * (name in upper))
+        for name, one in given.road.lanes.items()
+        if name != "left"
+    }
+    z_m = given.tracks.z_m.copy()
+    z_m[[given.tracks.row(agent) for agent in raised]] = height
+    return replace(
+        given,
+        road=replace(given.road, lanes=lanes),
+        tracks=replace(given.tracks, z_m=z_m),
+    )
+
+
+@pytest.mark.parametrize(("raised", "meet"), [(("south",), False), ((), True)])
+def test_ways_on_two_levels_do_not_interact(raised, meet):
+    assert interacts(on_a_bridge(scene(shift=-20.0), 6.0, *raised), "south") is meet
+
+
+def test_closer_than_the_avs_length_on_two_levels_is_no_interaction():
+    given = scene()
+    position = given.tracks.position_m.copy()
+    position[given.tracks.row("parked")] = [-30.0, 4.5]  # beside the AV's way, without overlap
+    beside = replace(given, tracks=replace(given.tracks, position_m=position))
+    assert interacts(on_a_bridge(beside, 6.0), "parked")
+    assert not interacts(on_a_bridge(beside, 6.0, "parked"), "parked")
+
+
+def test_samples_on_two_levels_have_no_label_of_the_other_level(monkeypatch):
+    monkeypatch.setattr(opponent, "AV_STEPS", (10,))
+    monkeypatch.setattr(opponent, "STAND_IN_STEPS", ())
+    found = {}
+    for raised in ((), ("south",)):
+        given = on_a_bridge(scene(), 6.0, *raised)
+        (sample,) = opponent.opponent_samples(given, LIGHT)
+        found[raised] = sample["interacts"].sum() - sample["interacts"][sample["partner"] > 0].sum()
+        assert sample["interacts"][sample["partner"] > 0].item() == (not raised)
+    assert found[()] == found["south",]  # labels of the others stay
+
+
+def test_heights_count_only_where_a_road_passes_over_another():
+    given = scene(shift=-20.0)
+    z_m = given.tracks.z_m.copy()
+    z_m[given.tracks.row("south")] = 6.0  # of another origin, say: nothing passes over anything
+    apart = replace(given, tracks=replace(given.tracks, z_m=z_m))
+    assert interacts(apart, "south")
+    assert windows.partner_of(replace(apart, interest=()), "av", 10).agent_id == "south"
+
+
+def test_a_vehicle_on_the_bridge_ahead_is_no_partner():
+    below = on_a_bridge(scene(labelled=False), 6.0)
+    assert windows.partner_of(below, "av", 10).agent_id == "south"
+    above = on_a_bridge(scene(labelled=False), 6.0, "south")
+    given = windows.partner_of(above, "av", 10)
+    assert given is None or given.agent_id != "south"
 
 
 def test_only_frames_that_are_valid_count():

@@ -65,7 +65,7 @@ def test_labels_are_those_of_all_times_against_all_times():
         heading = tracks.heading_rad.copy()
         heading[1] = np.arctan2(speed[1], speed[0])
         moved = replace(tracks, position_m=position, heading_rad=heading)
-        found.append(opponent_samples.interacting(moved, "av", ["south"])[0])
+        found.append(opponent_samples.interacting(moved, given.road, "av", ["south"])[0])
         apart = np.linalg.norm(position[0] - position[1], axis=1)
         overlap = boxes.overlap(
             position[0][:, None], heading[0][:, None], tracks.size_m[0, :2],

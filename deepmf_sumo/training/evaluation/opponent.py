@@ -195,7 +195,7 @@ class OpponentFigures:
         """Add one scene."""
         rows = vehicles_near(view)
         ids = [view.history.ids[row] for row in rows]
-        positive = interacting(scene.tracks, scene.av_id, ids)
+        positive = interacting(scene.tracks, scene.road, scene.av_id, ids)
         found = opponent.score(view, everyone=True)
         place = {agent_id: column for column, agent_id in enumerate(found.ids)}
         column = np.array([place.get(agent_id, -1) for agent_id in ids], np.int64)

@@ -21,11 +21,13 @@ from deepmf_sumo.scene import (
     SIMULATED,
     AgentId,
     Bools,
+    RoadMap,
     Scene,
     Tracks,
     View,
 )
 from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.scene.geometry.ground import clear, ground_of
 from deepmf_sumo.training.samples import windows
 from deepmf_sumo.training.samples.dataset import Arrays
 from deepmf_sumo.training.samples.feature_cache import Features
@@ -38,8 +40,8 @@ STAND_INS: Final = 2
 """Stand-ins per window, the labelled partner of the AV first."""
 SIMULATED_STEPS: Final = (10, 30)
 """Current steps in simulated traffic, which is plentiful: there are no stand-ins."""
-VERSION: Final = 2
-"""Increased when features change."""
+VERSION: Final = 3
+"""Increased when features or labels change; weights do not depend on it."""
 
 _NEAR_M = 60.0
 _KNOWN_STEPS = 45
@@ -114,7 +116,7 @@ def _sample(scene: Scene, view: View, preset: Preset) -> Arrays | None:
     other = partner_of.get(view.av_id) if scene.partner_id is not None else None
     rest = tracks.window(view.step - HISTORY_STEPS + 1, tracks.steps)
     interacts, partner = np.zeros(OTHERS, np.float32), np.zeros(OTHERS, np.float32)
-    interacts[: len(ids)] = interacting(rest, view.av_id, ids)
+    interacts[: len(ids)] = interacting(rest, scene.road, view.av_id, ids)
     partner[: len(ids)] = [agent_id == other for agent_id in ids]
     return {
         **arrays,
@@ -125,12 +127,16 @@ def _sample(scene: Scene, view: View, preset: Preset) -> Arrays | None:
     }
 
 
-def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) -> Bools:
+def interacting(
+    tracks: Tracks, road: RoadMap, av_id: AgentId, agent_ids: Sequence[AgentId]
+) -> Bools:
     """(A) vehicles whose path overlaps the AV's, at any two times, or that come close to it.
 
     Close: at one time the distance of the centres is less than the AV's length. Any vehicle may be
-    taken as the AV.
+    taken as the AV. Vehicles that pass over each other do neither.
     """
+    if not ground_of(road).has_levels:
+        tracks = replace(tracks, z_m=np.zeros_like(tracks.z_m))
     av = tracks.row(av_id)
     length = float(tracks.size_m[av, 0])
     reach = np.hypot(*tracks.size_m[:, :2].T) / 2
@@ -154,6 +160,7 @@ def interacting(tracks: Tracks, av_id: AgentId, agent_ids: Sequence[AgentId]) ->
 def _close(tracks: Tracks, av: int, other: int, length_m: float) -> bool:
     """Whether the centres come closer than the AV's length."""
     both = tracks.valid[av] & tracks.valid[other]
+    both &= ~clear(tracks.z_m[av], tracks.z_m[other])
     apart = tracks.position_m[av, both] - tracks.position_m[other, both]
     return bool(len(apart) and np.hypot(apart[:, 0], apart[:, 1]).min() < length_m)
 
@@ -163,7 +170,9 @@ def _overlap(tracks: Tracks, av: int, other: int, reach_m: float) -> bool:
     av_seen, seen = np.flatnonzero(tracks.valid[av]), np.flatnonzero(tracks.valid[other])
     av_place, place = tracks.position_m[av, av_seen], tracks.position_m[other, seen]
     away = av_place[:, None] - place
-    first, second = ((away * away).sum(-1) < reach_m**2).nonzero()
+    near = (away * away).sum(-1) < reach_m**2
+    near &= ~clear(tracks.z_m[av, av_seen][:, None], tracks.z_m[other, seen])
+    first, second = near.nonzero()
     if len(first) == 0:
         return False
     hit = boxes.overlap(

@@ -29,7 +29,7 @@ SIMULATED_TARGETS: Final = 3
 def features_for(preset: Preset) -> Features:
     """The features of these networks, which depend only on the preset's image sizes."""
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
-    counts = f"{WINDOW_STEPS} {SIMULATED_TARGETS} {MEANING}"
+    counts = f"{WINDOW_STEPS} {SIMULATED_TARGETS} {MEANING} {windows.LABELS}"
     return Features(
         kind="trajectory",
         settings=f"{json.dumps(image, sort_keys=True)} {counts}",

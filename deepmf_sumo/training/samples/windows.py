@@ -19,6 +19,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import clear, ground_of
 
 MIN_FUTURE_STEPS: Final = 30
 """Targets are known for at least 3 s."""
@@ -27,6 +28,8 @@ MIN_ATTACKED_STEPS: Final = 10
 PEOPLE: Final = ("pedestrian", "cyclist")
 MIN_DISTANCE_M: Final = 2.0
 """Vehicles that move less are not targets, except the AV and labelled agents."""
+LABELS: Final = 2
+"""Increased when targets or partners change, so that samples are made again."""
 _FARTHEST_M: Final = 30.0
 """Vehicles that stay farther away, in space and time, are not partners."""
 _MAX_STEP_M: Final = 12.0
@@ -38,11 +41,12 @@ class Future:
     """The motion of an agent after the view, in the scene's frame.
 
     Attributes:
-        position_m: (80, 2). heading_rad: (80). valid: (80).
+        position_m: (80, 2). z_m, heading_rad: (80). valid: (80).
     """
 
     agent_id: AgentId
     position_m: Floats
+    z_m: Floats
     heading_rad: Floats
     valid: Bools
 
@@ -73,14 +77,18 @@ def _recorded_steps(scene: Scene, step: int) -> int:
 def future_of(scene: Scene, agent_id: AgentId, step: int) -> Future:
     """The 80 steps after ``step``; invalid where the recording has ended."""
     tracks, row = scene.tracks, scene.tracks.row(agent_id)
-    position, heading = np.zeros((FUTURE_STEPS, 2)), np.zeros(FUTURE_STEPS)
+    position = np.zeros((FUTURE_STEPS, 2))
+    height, heading = np.zeros((2, FUTURE_STEPS))
     valid = np.zeros(FUTURE_STEPS, bool)
     stop = min(step + 1 + FUTURE_STEPS, tracks.steps)
     count = stop - step - 1
     position[:count] = tracks.position_m[row, step + 1 : stop]
+    height[:count] = tracks.z_m[row, step + 1 : stop]
     heading[:count] = tracks.heading_rad[row, step + 1 : stop]
     valid[:count] = tracks.valid[row, step + 1 : stop]
-    return Future(agent_id=agent_id, position_m=position, heading_rad=heading, valid=valid)
+    return Future(
+        agent_id=agent_id, position_m=position, z_m=height, heading_rad=heading, valid=valid
+    )
 
 
 def least_steps(scene: Scene) -> int:
@@ -131,7 +139,8 @@ def people(scene: Scene, step: int) -> Iterator[Future]:
 def partner_of(scene: Scene, agent_id: AgentId, step: int) -> Future | None:
     """The future that matters most to the agent: the labelled partner's, else the closest.
 
-    The closeness of two futures is the minimum of distance plus 2 m per second between them.
+    The closeness of two futures is the minimum of distance plus 2 m per second between them, of
+    places on one level of the road.
     """
     attacked = scene.source.dataset == ROLLOUT
     if agent_id in scene.interest and (attacked or step == scene.now):
@@ -157,11 +166,15 @@ def _closest(
 ) -> Future | None:
     if not others:
         return None
-    own = _filled(scene, future_of(scene, agent_id, step), step).position_m[4::5]
+    mine = _filled(scene, future_of(scene, agent_id, step), step)
+    own = mine.position_m[4::5]
     times = np.arange(len(own)) * 0.5
     late = 2.0 * np.abs(times[:, None] - times)
     ways = np.stack([each.position_m[4::5] for each in others])
     apart = np.linalg.norm(own[:, None] - ways[:, None], axis=-1) + late  # (A, 16, 16)
+    if ground_of(scene.road).has_levels:
+        heights = np.stack([each.z_m[4::5] for each in others])
+        apart[clear(mine.z_m[4::5][:, None], heights[:, None])] = np.inf
     least = apart.min(axis=(1, 2))
     return others[int(least.argmin())] if least.min() < within_m else None
 
@@ -206,6 +219,7 @@ def _filled(scene: Scene, future: Future, step: int) -> Future:
     position = np.stack(
         [np.interp(steps, known, future.position_m[known, axis]) for axis in (0, 1)], axis=1
     )
+    height = np.interp(steps, known, future.z_m[known])
     heading = np.interp(steps, known, np.unwrap(future.heading_rad[known]))
     last = int(known[-1])
     velocity = scene.tracks.velocity_mps[row, step + 1 + last]
@@ -214,6 +228,7 @@ def _filled(scene: Scene, future: Future, step: int) -> Future:
     return Future(
         agent_id=future.agent_id,
         position_m=position,
+        z_m=height,
         heading_rad=frames.wrap(heading),
         valid=valid,
     )
