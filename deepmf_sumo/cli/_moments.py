@@ -30,7 +30,7 @@ def announce_moments(request: MomentRequest, found: FoundMoments) -> None:
         for line in found.notes:
             click.echo(shown(line), err=True)
         return
-    span = f"{found.begin_s:g} to {found.until_s:g} s"
+    span = f"{found.begin_s:.12g} to {found.until_s:.12g} s"
     limit = "the limit of vehicle steps is reached; " * (request.scouting.until_s is None)
     further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
@@ -115,4 +115,6 @@ def _of_the_network(configuration: Configuration) -> Iterator[str]:
 def _attacked_from(found: FoundMoments) -> str:
     if found.from_s is None:
         return ""
-    return f"; attacked from {found.from_s:g} s on" + (f", {found.from_why}" * bool(found.from_why))
+    return f"; attacked from {found.from_s:.12g} s on" + (
+        f", {found.from_why}" * bool(found.from_why)
+    )

@@ -179,7 +179,7 @@ def _show(
     console = screen.wide()
     types = ", ".join(f"{count} {kind}" for kind, count in counts(rows).items())
     cut = "" if seen.complete else " (the traffic goes on)"
-    time = f"from {seen.begin_s:g} to {seen.until_s:g} s{cut}"
+    time = f"from {seen.begin_s:.12g} to {seen.until_s:.12g} s{cut}"
     users = counted(seen.users, "road user")
     lines = [f"{name}: {users} {time}: {counted(len(rows), 'conflict')} ({types})"]
     contacts = sum(row["contact"] for row in rows)

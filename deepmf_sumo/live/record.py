@@ -86,7 +86,7 @@ class SessionResults:
         artifacts.write_plans(folder / "plans.npz", attack.rollout)
         self._keep_net(folder / "sumo")
         self._keep_map(folder / "sumo")
-        scene = f"{attack.rollout.av_id}-{attack.begin_s:g}s"
+        scene = f"{attack.rollout.av_id}-{attack.begin_s:.12g}s"
         if self._simulations > 1:  # of another traffic, perhaps
             scene = f"{self._simulations}-{scene}"
         task = Task(run_id=run_id, spec=self._spec, scene=scene)

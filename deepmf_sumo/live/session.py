@@ -272,8 +272,8 @@ class Session:
         again = self._ran_ahead and self._frames < _ASK_EVERY
         if _SAME_S < ahead_s < (np.inf if again else _MISSED_S):
             raise UsageError(
-                f"The simulation is at {now_s:g} s and was stepped to {self._expected_s:g} s here; "
-                "before_step and after_step belong around every single step."
+                f"The simulation is at {now_s:.12g} s and was stepped to {self._expected_s:.12g} s"
+                " here; before_step and after_step belong around every single step."
             )
         self.keep_time(now_s)
 

@@ -96,7 +96,7 @@ def moment_of(result: Result) -> str:
     """When and of which vehicle a network is attacked, e.g. ``ego at 40 s``; else empty."""
     source = (result.get("setup") or {}).get("source", {})
     vehicle = source.get("av", {}).get("vehicle")
-    return f"{vehicle} at {source.get('start_s', 0):g} s" if vehicle else ""
+    return f"{vehicle} at {source.get('start_s', 0):.12g} s" if vehicle else ""
 
 
 def differences(new: "RunSet", old: "RunSet") -> list[str]:

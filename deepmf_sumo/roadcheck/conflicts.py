@@ -107,13 +107,13 @@ def check(wanted: Survey) -> None:
     begin = max(wanted.from_s or 0.0, configuration.begin_s)
     if wanted.until_s is not None and wanted.until_s <= begin:
         raise UsageError(
-            f"--until {wanted.until_s:g}: must be later than the beginning at {begin:g} s (--from,"
-            " or the configuration's begin)."
+            f"--until {wanted.until_s:.12g}: must be later than the beginning at {begin:.12g} s"
+            " (--from, or the configuration's begin)."
         )
     if configuration.end_s is not None and begin >= configuration.end_s:
         raise UsageError(
-            f"--from {begin:g}: {wanted.config.name} ends at {configuration.end_s:g} s; choose an"
-            " earlier time."
+            f"--from {begin:.12g}: {wanted.config.name} ends at {configuration.end_s:.12g} s;"
+            " choose an earlier time."
         )
 
 

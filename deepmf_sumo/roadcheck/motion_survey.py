@@ -93,8 +93,8 @@ def survey(wanted: Survey) -> Surveyed:
         complete = complete or now + DT_S > ends_s
     if not notes.rows:
         raise SimulationError(
-            f"no vehicle drove in '{wanted.config}' from {begin:g} to {now:g} s, so there are no"
-            " conflicts to look for; choose other times, or give it traffic."
+            f"no vehicle drove in '{wanted.config}' from {begin:.12g} to {now:.12g} s, so there are"
+            " no conflicts to look for; choose other times, or give it traffic."
         )
     return replace(notes.surveyed(begin, now, complete=complete), warnings=tuple(warned))
 

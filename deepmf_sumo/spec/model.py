@@ -286,7 +286,7 @@ class Moments(Strict):
             other = "'of' (--moments-of)" if self.of is not None else "'at_s' (--at)"
             raise _wrong(f"cannot be given with {other}: leave one of them out", "from_s")
         if isinstance(self.from_s, float) and self.from_s >= (self.until_s or math.inf):
-            raise _wrong(f"must be earlier than until_s, which is {self.until_s:g}", "from_s")
+            raise _wrong(f"must be earlier than until_s, which is {self.until_s:.12g}", "from_s")
         return self
 
 

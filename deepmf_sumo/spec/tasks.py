@@ -94,7 +94,7 @@ class Task:
         """
         source, situation = self.spec.source, self.scene
         if isinstance(source, FromNetwork):
-            situation = f"{source.network.stem} {source.start_s:g} {source.av.vehicle}"
+            situation = f"{source.network.stem} {source.start_s:.12g} {source.av.vehicle}"
         return [self.spec.seed, crc32(situation.encode())]
 
     def placeless(self) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def _told_apart(task: Task, times: Mapping[str, int]) -> Task:
 
 def moment_name(av: str, start_s: float) -> str:
     """The name of the scene where a network is attacked at several moments."""
-    return f"{av}-{start_s:g}s"
+    return f"{av}-{start_s:.12g}s"
 
 
 def run_id_of(spec: Spec, scene: str) -> str:

@@ -108,6 +108,16 @@ def test_specs_of_one_name_on_a_network_are_called_after_their_moments(tiny, tmp
         tasks.plan([early, late, late], tmp_path)
 
 
+@pytest.mark.parametrize("begin_s", [100_000, 1_700_000_000])
+def test_moments_of_days_and_of_calendars_keep_their_digits(tiny, tmp_path, begin_s):
+    path = tiny_network.spec(tiny, "late")
+    times = (begin_s + 10, begin_s + 10.5, begin_s + 11)
+    specs = [spec.load(path, [f"source.start_s={start!r}"]) for start in times]
+    found = tasks.plan(specs, tmp_path)
+    assert [task.scene for task in found] == [f"av-{start}s" for start in times]
+    assert len({tuple(task.entropy()) for task in found}) == len(times)
+
+
 def test_filter(recording, tmp_path):
     assert [task.scene for task in tasks.plan([recording("all")], tmp_path, "B2")] == ["b2"]
 

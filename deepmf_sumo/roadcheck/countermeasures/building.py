@@ -113,7 +113,7 @@ def _states(config: Path, signal: str) -> Iterable[State]:
     with command_line(traffic, event) as (arguments, folder):
         end_s = configuration.begin_s + _SECONDS
         try:
-            sumo_tools.run("sumo", *arguments, "--end", f"{end_s:g}", timeout_s=600.0)
+            sumo_tools.run("sumo", *arguments, "--end", f"{end_s:.12g}", timeout_s=600.0)
         except ConversionError as error:
             raise SimulationError(f"SUMO cannot run '{config}': {error}") from None
         events = ET.parse(folder / _STATES).iter("tlsState")  # noqa: S314 - SUMO wrote it

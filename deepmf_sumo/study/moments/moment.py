@@ -261,7 +261,7 @@ def off_level(sightings: Sightings, rows: Ints, others: Ints) -> Bools:
 
 
 def _no_vehicles(sightings: Sightings, wish: WantedMoments) -> str:
-    span = f"{sightings.begin_s:g} to {sightings.until_s:g} s"
+    span = f"{sightings.begin_s:.12g} to {sightings.until_s:.12g} s"
     if sightings.waiting:
         return f"{sightings.waiting} vehicles wait to be inserted, and none was, from {span}"
     others = ", only persons" if sightings.persons else ""
@@ -269,7 +269,7 @@ def _no_vehicles(sightings: Sightings, wish: WantedMoments) -> str:
         return f"there is no vehicle from {span}{others}: the moments are of other traffic"
     later = "" if sightings.complete else f"; {wish.later}"
     if isinstance(wish.from_s, float) and wish.from_s > 0:
-        return f"there is no vehicle from {wish.from_s:g} s on{others}{later}; {wish.earlier}"
+        return f"there is no vehicle from {wish.from_s:.12g} s on{others}{later}; {wish.earlier}"
     return f"there is no vehicle from {span}{others}{later}"
 
 
@@ -322,7 +322,7 @@ def _late(sightings: Sightings, wish: WantedMoments, from_s: float, why: str) ->
     """Whether (K) it is that late, and the reason if none is."""
     named = f"vehicle '{wish.av}'" if wish.av else f"a vehicle{_typed(wish)}"
     because = f", {why}" if why else ""
-    reason = f"{named} is there{_when(sightings, wish)}, and none from {from_s:g} s on{because}"
+    reason = f"{named} is there{_when(sightings, wish)}, and none from {from_s:.12g} s on{because}"
     return sightings.time_s >= from_s - _ROUNDING_S, f"{reason}; {wish.earlier}"
 
 
@@ -349,22 +349,23 @@ def check_times(wish: WantedMoments, begin_s: float, until_s: float, later: str 
     at = wish.named("at_s")
     for between in (one for one in wish.at_s if abs(one - round(one, 1)) > 1e-6):
         raise UsageError(
-            f"{at} {between:.10g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
+            f"{at} {between:.12g}: the simulation goes in steps of {DT_S:g} s; give a multiple."
         )
     for late in (one for one in wish.at_s if one > until_s + _ROUNDING_S):
         raise UsageError(
-            f"{at} {late:g}: there is traffic from {begin_s:g} to {until_s:g} s only{later}."
+            f"{at} {late:.12g}: there is traffic from {begin_s:.12g} to {until_s:.12g} s"
+            f" only{later}."
         )
     for early in (one for one in wish.at_s if one < begin_s + SEEN_S - _ROUNDING_S):
         raise UsageError(
-            f"{at} {early:g}: the simulation begins at {begin_s:g} s, and a vehicle must have been"
-            f" there for {SEEN_S:g} s."
+            f"{at} {early:.12g}: the simulation begins at {begin_s:.12g} s, and a vehicle must have"
+            f" been there for {SEEN_S:g} s."
         )
 
 
 def _check(sightings: Sightings, wish: WantedMoments) -> None:
     """Raise UsageError for names and times that are not in the traffic."""
-    span = f"from {sightings.begin_s:g} to {sightings.until_s:g} s"
+    span = f"from {sightings.begin_s:.12g} to {sightings.until_s:.12g} s"
     later = "" if sightings.complete else f" ({wish.later})"
     check_times(wish, sightings.begin_s, sightings.until_s, later)
     names = {
@@ -388,11 +389,11 @@ def _typed(wish: WantedMoments) -> str:
 def _when(sightings: Sightings, wish: WantedMoments) -> str:
     rows = [row for row, body in enumerate(sightings.bodies) if _is_asked(body, wish)]
     there = sightings.time_s[np.isin(sightings.vehicle, rows)]
-    return f" from {there.min():g} to {there.max():g} s" if len(there) else ""
+    return f" from {there.min():.12g} to {there.max():.12g} s" if len(there) else ""
 
 
 def _times(wish: WantedMoments) -> str:
-    return " or ".join(f"{one:g} s" for one in wish.at_s)
+    return " or ".join(f"{one:.12g} s" for one in wish.at_s)
 
 
 def drives(sightings: Sightings, duration_s: float) -> Bools:

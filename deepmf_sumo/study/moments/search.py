@@ -93,8 +93,8 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
         wish = replace(wish, av_types=demand.types_of(configuration, asked.av_type))
     if asked.until_s is not None and asked.until_s <= configuration.begin_s:
         raise UsageError(
-            f"{wish.named('until_s')} {asked.until_s:g}: {configuration.file.name} begins at"
-            f" {configuration.begin_s:g} s; choose a later time."
+            f"{wish.named('until_s')} {asked.until_s:.12g}: {configuration.file.name} begins at"
+            f" {configuration.begin_s:.12g} s; choose a later time."
         )
     area = area_of(asked, configuration.net, wish.named)
     if area is not None:
@@ -217,8 +217,8 @@ def check(configuration: Configuration, wish: WantedMoments) -> None:
     check_times(wish, configuration.begin_s, math.inf if end_s is None else end_s)
     if isinstance(wish.from_s, float) and end_s is not None and wish.from_s >= end_s:
         raise UsageError(
-            f"{wish.named('from_s')} {wish.from_s:g}: {configuration.file.name} ends at {end_s:g}"
-            " s; choose an earlier time."
+            f"{wish.named('from_s')} {wish.from_s:.12g}: {configuration.file.name} ends at"
+            f" {end_s:.12g} s; choose an earlier time."
         )
     if wish.av is None and wish.av_type is None:
         return

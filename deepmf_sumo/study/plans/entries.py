@@ -199,7 +199,7 @@ def _situations(
 
 
 def _scene(source: FromNetwork) -> str:
-    return f"{source.network.stem} {source.start_s:g} s {source.av.vehicle}"
+    return f"{source.network.stem} {source.start_s:.12g} s {source.av.vehicle}"
 
 
 def _specs(loaded: Loaded, method: str, planner: str) -> tuple[Spec, ...]:

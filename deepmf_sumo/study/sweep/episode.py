@@ -292,7 +292,7 @@ def _part_of(scene: Scene, source: FromRecording) -> Scene:
         there = at < tracks.steps and bool(tracks.valid[tracks.row(scene.av_id), at])
         if not there:
             raise SpecError(
-                f"key 'source.start_s': {source.start_s:g}: the AV '{scene.av_id}' is not there"
+                f"key 'source.start_s': {source.start_s:.12g}: the AV '{scene.av_id}' is not there"
                 f" at that time ({here}); choose an earlier start."
             )
         scene = scene.later(steps)

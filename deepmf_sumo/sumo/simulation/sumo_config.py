@@ -264,7 +264,7 @@ def hold(case: TrafficCase, model: VehicleModel | None) -> None:
             api.close()  # only then is all that it said in its file
         reason = sumo_words.before(str(error), _held.folder)
         release()
-        raise SimulationError(f"SUMO does not come to {until_s:g} s: {reason}") from error
+        raise SimulationError(f"SUMO does not come to {until_s:.12g} s: {reason}") from error
 
 
 def release() -> None:
@@ -323,7 +323,7 @@ def network_case(
     """
     configuration = read_configuration(config, sumo_options)
     return TrafficCase(
-        name=f"{config.stem}-{av}-{start_s:g}s",
+        name=f"{config.stem}-{av}-{start_s:.12g}s",
         road=road_once(configuration.net, configuration.additional),
         av_id=av,
         duration_steps=duration_steps,

@@ -324,8 +324,8 @@ def _of_bodies(frame: Frame, only: Collection[AgentId]) -> Frame:
 def _check_start(case: TrafficCase, configuration: Configuration) -> None:
     if case.start_s < configuration.begin_s:
         raise SimulationError(
-            f"source.start_s is {case.start_s:g}, but '{case.config}' begins at "
-            f"{configuration.begin_s:g} s; choose a later start, or let it begin earlier."
+            f"source.start_s is {case.start_s:.12g}, but '{case.config}' begins at "
+            f"{configuration.begin_s:.12g} s; choose a later start, or let it begin earlier."
         )
 
 
@@ -359,6 +359,6 @@ def _absent(api: SumoApi, case: TrafficCase) -> str:
     else:
         when = f"does not depart within {_LOOK_FURTHER_S:g} s after it"
     return (
-        f"Vehicle '{case.av_id}' is not there at {case.start_s:g} s in '{case.config}' and {when}; "
-        f"choose another start{others}."
+        f"Vehicle '{case.av_id}' is not there at {case.start_s:.12g} s in '{case.config}' and"
+        f" {when}; choose another start{others}."
     )
