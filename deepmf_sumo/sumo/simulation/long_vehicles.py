@@ -95,6 +95,8 @@ class LongVehicles:
         self._before: dict[tuple[str, str], tuple[str, ...]] = {}
         self._shapes: dict[str, tuple[Measured, Floats, float]] = {}
         self.lane: dict[AgentId, str] = {}
+        self._ends: dict[AgentId, tuple[Floats, Floats]] = {}
+        self._reversed: set[AgentId] = set()
 
     def lengths_m(self, name: AgentId) -> Lengths:
         """Of the boxes of a vehicle that is present."""
@@ -106,18 +108,38 @@ class LongVehicles:
         return self._lengths[name]
 
     def boxes(self, name: AgentId, state: State) -> dict[AgentId, State]:
-        """The states of all boxes of a vehicle that bends, by agent; the first has its front."""
+        """The states of all boxes of a vehicle that bends, by agent; the first has its front.
+
+        A train that reverses has its front at its other end from one step to the next. Its boxes
+        stay where they are: then the last one has its front.
+        """
         lengths = self.lengths_m(name)
-        ends = np.concatenate([[0.0], np.cumsum(lengths)])
-        places = self._places(name, state, ends)
+        numbers = list(range(1, len(lengths) + 1))
+        if self._reverses(name, state):
+            self._reversed ^= {name}
+        if name in self._reversed:
+            lengths, numbers = lengths[::-1], numbers[::-1]
+        places = self._places(name, state, np.concatenate([[0.0], np.cumsum(lengths)]))
+        self._ends[name] = places[0][0][:2], places[-1][0][:2]
         found = {}
-        for number, ((front, lane), (back, _)) in enumerate(pairwise(places)):
+        for number, ((front, lane), (back, _)) in zip(numbers, pairwise(places), strict=True):
             along = front[:2] - back[:2]
             angle = float(frames.sumo_angle(np.arctan2(along[1], along[0])))
-            agent = name if number == 0 else agent_ids.of_part(name, number + 1)
+            agent = name if number == 1 else agent_ids.of_part(name, number)
             found[agent] = (float(front[0]), float(front[1]), angle, state[3], float(front[2]))
             self.lane[agent] = lane
-        return found
+        return {agent: found[agent] for _, agent in sorted(zip(numbers, found, strict=True))}
+
+    def _reverses(self, name: AgentId, state: State) -> bool:
+        """Whether the front is where the rear was when the vehicle was last seen."""
+        if name not in self._ends:
+            return False
+        front, rear = self._ends[name]
+        ahead = frames.unit(np.radians(90.0 - state[2]))
+        return bool(
+            ahead @ (front - rear) < 0
+            and np.hypot(*(state[:2] - rear)) < min(_ON_TRACK_M, np.hypot(*(state[:2] - front)))
+        )
 
     def _places(self, name: AgentId, state: State, behind_m: Floats) -> list[tuple[Floats, str]]:
         """Points (3) at distances behind the front, along the track, and their lanes."""

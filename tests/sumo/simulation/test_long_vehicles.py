@@ -299,3 +299,57 @@ def test_a_tram_on_its_own_rails_is_replayed(folder, tmp_path):
     replayed = [program / "sumo", "-c", out / fcd.CONFIG, "--fcd-output", seen]
     subprocess.run(replayed, check=True, capture_output=True)
     assert 'lane="rail_0"' in seen.read_text()
+
+
+REVERSING = """<vehicle id="t" type="{}" depart="0" departPos="60">
+<route edges="there back"/><stop lane="there_0" endPos="195" duration="3"/></vehicle>
+<vehicle id="car" depart="0" departPos="20"><route edges="beside"/></vehicle>"""
+LOCOMOTIVE = """<vType id="pulled" vClass="tram" length="42" carriageLength="11"
+ locomotiveLength="20"/>"""
+
+
+@pytest.fixture(scope="module")
+def siding(tmp_path_factory, starts_sumo) -> Path:
+    """A single track that ends, and a street beside it."""
+    folder = tmp_path_factory.mktemp("siding")
+    (folder / "l.nod.xml").write_text(
+        """<nodes><node id="w" x="0" y="0"/><node id="e" x="200" y="0"/>
+<node id="a" x="0" y="8"/><node id="b" x="400" y="8"/></nodes>"""
+    )
+    (folder / "l.edg.xml").write_text(
+        """<edges><edge id="there" from="w" to="e" allow="tram" spreadType="center" speed="14"/>
+<edge id="back" from="e" to="w" allow="tram" spreadType="center" speed="14"/>
+<edge id="beside" from="a" to="b" speed="14"/></edges>"""
+    )
+    command = [Path(sumo.SUMO_HOME) / "bin" / "netconvert", "-o", "long.net.xml"]
+    command += ["-n", "l.nod.xml", "-e", "l.edg.xml"]
+    environment = {**os.environ, "SUMO_HOME": str(sumo.SUMO_HOME)}
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, env=environment)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["three", "pulled"])
+def test_the_boxes_of_a_train_that_reverses_stay_where_they_are(siding, started, kind):
+    api = started(configured(siding, "turns", LOCOMOTIVE + REVERSING.format(kind)))
+    reader, before, turned = TrafficReader(api), None, False
+    while "t" in api.vehicle.getIDList() or before is None:
+        api.simulationStep()
+        frame = reader.read()
+        rows = [row for row, one in enumerate(frame.ids) if one.startswith("t")]
+        if not rows:
+            continue
+        assert [frame.ids[row] for row in rows] == sorted(frame.ids[row] for row in rows)
+        boxes_of_train = frame.position_m[rows]
+        if before is not None:
+            moved = np.hypot(*(boxes_of_train - before).T)
+            assert moved.max() <= 0.1 * api.vehicle.getSpeed("t") + 0.3
+        turned |= bool(np.cos(frame.heading_rad[rows]).max() < 0)
+        before = boxes_of_train
+    assert turned
+
+
+def test_a_train_that_reverses_does_not_jump_in_an_episode(siding):
+    config = configured(siding, "episode", REVERSING.format("three"))
+    case = network_case(config, 15.0, "car", duration_steps=250)
+    # tests/conftest.py looks for jumps in every rollout
+    simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
