@@ -20,6 +20,7 @@ from deepmf_sumo.study.moments.moment import (
     Moment,
     WantedMoments,
     around,
+    drives,
     opponents,
     suitable,
 )
@@ -141,8 +142,9 @@ class _Spread:
     """The edge that was chosen least often is next, and of its places one at a rare time.
 
     With ``both``, junctions that were chosen least often come after edges, and then the place and
-    the moment with the least sum of how often that time was chosen and what its encounter lacks: 0
-    where it comes when it suits, 1 at another time of the attack, 2 without any.
+    the moment with the least sum of how often that time was chosen and what it lacks: an encounter
+    (0 where it comes when it suits, 1 at another time of the attack, 2 without any), and an AV that
+    drives (1 where it stands for long: who touches a standing AV has found nothing).
 
     Where encounters alone are preferred, the junction that was chosen least often comes first,
     there places with encounters, and at each place the closest encounter; edges of no junction are
@@ -155,6 +157,7 @@ class _Spread:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
         self._met, self._prefer = met, wish.prefer
+        self._lacks: Ints = met.kind + ~drives(sightings, wish.duration_s)
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
@@ -162,7 +165,7 @@ class _Spread:
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
-        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, kind of encounter
+        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, what lacks
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
         near = gets_there(sightings, wish.duration_s)[shuffled]
@@ -211,7 +214,7 @@ class _Spread:
         cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
         rank = self._met.rank[rows]
         if self._prefer == "both":
-            cost += self._met.kind[rows] + _CLOSER * rank
+            cost += self._lacks[rows] + _CLOSER * rank
         if self._prefer == "encounters":
             cost[rank > rank.min()] = np.inf
         best = int(cost.argmin())
@@ -231,10 +234,10 @@ class _Spread:
         return self._moment(row, place, count)
 
     def _note_chances(self, place: Place) -> None:
-        """At which times what kind of encounter is left at a place."""
+        """At which times moments are left at a place, and what they lack."""
         if self._prefer == "both":
             rows = self._left[place]
-            pairs = np.unique(np.column_stack([self._span[rows], self._met.kind[rows]]), axis=0)
+            pairs = np.unique(np.column_stack([self._span[rows], self._lacks[rows]]), axis=0)
             self._chances[place] = pairs[:, 0], pairs[:, 1]
 
     def _too_soon(self, row: int) -> bool:
