@@ -20,7 +20,7 @@ from deepmf_sumo.study.moments.moment import (
     Moment,
     WantedMoments,
     around,
-    drives,
+    driven,
     opponents,
     suitable,
 )
@@ -144,7 +144,7 @@ class _Spread:
     With ``both``, junctions that were chosen least often come after edges, and then the place and
     the moment with the least sum of how often that time was chosen and what it lacks: an encounter
     (0 where it comes when it suits, 1 at another time of the attack, 2 without any), and an AV that
-    drives (1 where it stands for long: who touches a standing AV has found nothing).
+    drives (the share of the attack in which it does not: a touch of a standing AV says nothing).
 
     Where encounters alone are preferred, the junction that was chosen least often comes first,
     there places with encounters, and at each place the closest encounter; edges of no junction are
@@ -157,7 +157,7 @@ class _Spread:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
         self._met, self._prefer = met, wish.prefer
-        self._lacks: Ints = met.kind + ~drives(sightings, wish.duration_s)
+        self._lacks: Floats = met.kind + 1.0 - driven(sightings, wish.duration_s)
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
@@ -165,7 +165,7 @@ class _Spread:
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
-        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, what lacks
+        self._chances: dict[Place, tuple[Ints, Floats]] = {}  # with `both`: time, what lacks
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
         near = gets_there(sightings, wish.duration_s)[shuffled]
@@ -191,7 +191,7 @@ class _Spread:
                 moments.append(moment)
         return moments
 
-    def _order(self, place: Place) -> tuple[int, ...]:
+    def _order(self, place: Place) -> tuple[float, ...]:
         used = self._used
         rarest = int(self._taken[self._spans[place]].min())
         spread = used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
@@ -199,7 +199,7 @@ class _Spread:
             return spread
         if self._prefer == "both":
             span, chance = self._chances[place]
-            least = int((self._taken[span] + chance).min())
+            least = float((self._taken[span] + chance).min())
             junction = used.junctions[self._junction(place)]
             return used.edges[place[0]], junction, least, *spread[2:]
         edge, kind = self._sightings.edges[place[0]], self._kind[place]
@@ -238,7 +238,7 @@ class _Spread:
         if self._prefer == "both":
             rows = self._left[place]
             pairs = np.unique(np.column_stack([self._span[rows], self._lacks[rows]]), axis=0)
-            self._chances[place] = pairs[:, 0], pairs[:, 1]
+            self._chances[place] = pairs[:, 0].astype(np.int64), pairs[:, 1]
 
     def _too_soon(self, row: int) -> bool:
         """Whether the same vehicle is under attack at that time already."""
