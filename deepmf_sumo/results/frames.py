@@ -45,7 +45,7 @@ def frame(results: Results, kind: Kind) -> pd.DataFrame:
         raise UsageError(f"'{kind}' is not a kind of frame.{hint}")
     rows = [row for run in results.runs for row in _ROWS[kind](run)]
     metrics = plugins.names("metrics") if kind != "contacts" else ()
-    return _typed(rows, (*_FIRST[kind], *metrics))
+    return _typed(rows, (*_FIRST[kind], *metrics, *_LAST[kind]))
 
 
 def _runs(run: Run) -> Iterator[dict[str, Any]]:
@@ -158,7 +158,11 @@ _FIRST: Final[Mapping[Kind, tuple[str, ...]]] = {
                 "worth"),
     "contacts": (*_RUN, *CONTACT),
 }  # fmt: skip
-"""Columns that are always there, first ones in their order."""
+_LAST: Final[Mapping[Kind, tuple[str, ...]]] = {
+    "runs": ("moment", "setup", "source", "ended", "wall_s", "expectations_broken"),
+    "attacks": (), "contacts": (),
+}  # fmt: skip
+"""Columns that are always there, also in a folder without runs: before and after the metrics."""
 
 
 _TEXTS: Final = frozenset(

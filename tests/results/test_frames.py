@@ -93,9 +93,10 @@ def test_what_tables_of_earlier_versions_lack_is_that_of_the_result(results, tmp
     pd.testing.assert_frame_equal(Results.open(tmp_path / "out").frame()[columns], now[columns])
 
 
+@pytest.mark.parametrize("runs", [[], [{**gate_doubles.failed(), **WHOLE}]])
 @pytest.mark.parametrize("kind", frames.KINDS)
-def test_a_folder_without_anything_has_all_columns(tmp_path, results, kind):
-    nobody = written(tmp_path / "none", [{**gate_doubles.failed(), **WHOLE}]).frame(kind)
+def test_a_folder_without_anything_has_all_columns(tmp_path, results, kind, runs):
+    nobody = written(tmp_path / "none", runs).frame(kind)
     assert list(nobody) == list(results.frame(kind))
     assert nobody.dtypes.equals(results.frame(kind).dtypes)
 
