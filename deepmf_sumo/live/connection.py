@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
@@ -95,8 +94,8 @@ def connect(port: Port, stopped: Callable[[], bool] = lambda: False) -> LiveApi:
     except Exception as error:
         if not of_sumo(error):
             raise
-        with suppress(Exception):
-            connection.close()  # SUMO ends, for it refuses the other client, too
+        # SUMO ends, for it refuses the other client, too; it answers nothing before that one steps
+        abandon(connection)
         raise SimulationError(_refused(port, error)) from None
     return shared(connection)
 

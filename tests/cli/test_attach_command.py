@@ -5,6 +5,7 @@ import json
 import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ import pytest
 import sumo
 
 from deepmf_sumo.cli import main
+from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.live import attacker
 from deepmf_sumo.live.connection import Port, connect
 
@@ -26,7 +28,11 @@ for _ in range(200):
         break
     except traci.exceptions.FatalTraCIError:
         time.sleep(0.05)
-api.setOrder(1)
+if ends == "idles":
+    print("is first", flush=True)
+api.setOrder(1)  # answered when all clients have connected
+if ends == "idles":
+    time.sleep(600)
 for step in range(1, steps + 1):
     api.simulationStep()
     assert abs(api.simulation.getTime() - 0.1 * step) < 1e-6
@@ -172,6 +178,18 @@ def test_a_number_that_the_other_client_has(simulation, port, tmp_path, capsys):
     simulation(10)
     assert attach(port, tmp_path / "live", "--av", "av", "--set", "live.order=1") == 3
     assert "live.order" in capsys.readouterr().err
+
+
+def test_a_number_that_the_other_client_has_while_that_one_does_nothing(simulation, port):
+    server, script = simulation(10, "idles")
+    assert script.stdout.readline() == "is first\n"
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(connect, Port(number=port, order=1))
+        try:
+            with pytest.raises(SimulationError, match="refused client 1"):
+                asked.result(timeout=20)
+        finally:
+            server.kill()  # else a connection that waits for an answer keeps the test
 
 
 def test_a_port_nobody_listens_on(port, tmp_path, capsys, monkeypatch):
