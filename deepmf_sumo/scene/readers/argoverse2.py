@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import shapely
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import ReaderError, UsageError
@@ -40,7 +39,12 @@ from deepmf_sumo.scene.readers.base import RecordRef
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
 from deepmf_sumo.scene.readers.raw.one_file import MALFORMED, head
-from deepmf_sumo.scene.readers.raw.road import RoadBuilder, SignalsBuilder, identifier
+from deepmf_sumo.scene.readers.raw.road import (
+    RoadBuilder,
+    SignalsBuilder,
+    ground_m,
+    identifier,
+)
 from deepmf_sumo.scene.road_users import ROAD_USERS
 
 LARGEST_FILE: Final = 2**25
@@ -248,7 +252,7 @@ def _tracks(
         velocity[(*at, axis)] = rows[f"velocity_{name}"][used]
     heading[at], valid[at] = rows["heading"][used], True
     kinds, size = _classes(rows, ids, repairs)
-    position[at[0], at[1], 2] = _ground_m(road, position[at][:, :2]) + size[at[0], 2] / 2
+    position[at[0], at[1], 2] = ground_m(road, position[at][:, :2]) + size[at[0], 2] / 2
     return RawTracks(
         ids=ids,
         kinds=kinds,
@@ -271,20 +275,6 @@ def _classes(rows: Table, ids: list[str], repairs: list[str]) -> tuple[list[Agen
     size[[agent == AV_ID for agent in ids]] = AV_SIZE_M
     repairs.append("The sizes of road users are unknown; those typical of their types were used.")
     return [kind for kind, _ in found], size
-
-
-def _ground_m(road: RoadMap, xy: Floats) -> Floats:
-    """(N) heights of the road at points (N, 2): those of the nearest point of a lane."""
-    lanes = list(road.lanes.values())
-    points = np.concatenate([np.zeros((0, 2)), *(lane.centre_m for lane in lanes)])
-    z = np.concatenate([np.zeros(0), *(lane.z_m for lane in lanes)])
-    finite = np.isfinite(points).all(-1) & np.isfinite(z)
-    known = np.isfinite(xy).all(-1)
-    ground = np.zeros(len(xy))
-    if finite.any() and known.any():
-        tree = shapely.STRtree(shapely.points(points[finite]))
-        ground[known] = z[finite][tree.nearest(shapely.points(xy[known]))]
-    return ground
 
 
 # Road

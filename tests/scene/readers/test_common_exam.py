@@ -271,6 +271,36 @@ def test_heights_that_are_missing_are_0(read, tmp_path):
     }
 
 
+def on_a_hill(height_m, climbs):
+    """A scenario whose tracks are at 0; its lanes rise by ``climbs`` from a height on."""
+    message = by_hand.scenario()
+    for track in message.tracks:
+        for state in track.states:
+            state.center_z = 0.0
+    for feature in message.map_features:
+        for point in feature.lane.polyline:
+            point.z = height_m + climbs * point.x
+    return message
+
+
+@pytest.mark.parametrize("read", FORMATS)
+def test_tracks_without_heights_stand_on_a_road_that_climbs(read, tmp_path):
+    scene = read(on_a_hill(20.0, 0.1), tmp_path)
+    for row in range(len(scene.tracks.ids)):
+        seen = scene.tracks.valid[row]
+        x = scene.tracks.position_m[row, seen, 0]
+        assert scene.tracks.z_m[row, seen] == pytest.approx(20 + 0.1 * x, abs=0.6)
+    assert "The tracks have no heights; those of the nearest lanes were used." in scene.repairs
+
+
+@pytest.mark.parametrize("read", FORMATS)
+@pytest.mark.parametrize(("height_m", "climbs"), [(20.0, 0.0), (0.2, 0.001)])
+def test_on_a_road_without_slopes_they_stay_at_0(read, tmp_path, height_m, climbs):
+    scene = read(on_a_hill(height_m, climbs), tmp_path)
+    assert not scene.tracks.z_m.any()
+    assert not any("heights" in one for one in scene.repairs)
+
+
 def test_the_native_format_has_the_same_clock_and_no_signal_twice(tmp_path):
     scene = in_womd(by_hand.scenario(), tmp_path)
     slow = replace(scene, timestamps_s=np.arange(91) * 0.12)

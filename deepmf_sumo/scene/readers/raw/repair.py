@@ -27,7 +27,7 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks, motion
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
-from deepmf_sumo.scene.readers.raw.road import quoted
+from deepmf_sumo.scene.readers.raw.road import ground_m, quoted
 from deepmf_sumo.scene.road_users import usual_size_m
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
@@ -37,6 +37,8 @@ MOST_FEATURES: Final = 50_000
 MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_SENTENCE: Final = 2000
+_HIGH_M: Final = 1.0
+"""Road that is nearer to 0 than this, or flatter, goes with tracks at 0."""
 """Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
 
 Feature = Lane | Polyline | Polygon | StopSign
@@ -83,7 +85,7 @@ def _repaired(recording: RawScene) -> Scene:
     motion.refuse_other_rate(raw, timestamps)
     motion.cut_jumps(raw, timestamps, now, av_id, repairs)
     road = _repaired_road(with_heights(recording.road, repairs), repairs)
-    tracks = _finished(raw, now, av_id, repairs)
+    tracks = _on_the_road(_finished(raw, now, av_id, repairs), road, repairs)
     return Scene(
         name=recording.name,
         source=recording.source,
@@ -257,6 +259,23 @@ def _finished(raw: RawTracks, now: int, av_id: str, repairs: list[str]) -> Track
         velocity_mps=np.where(valid[..., None], raw.velocity_mps[rows], 0.0),
         valid=valid,
     )
+
+
+def _on_the_road(tracks: Tracks, road: RoadMap, repairs: list[str]) -> Tracks:
+    """Tracks without heights stand on the nearest lanes, if these climb and are not at 0.
+
+    Else vehicles that climb and descend a hill from 0 on, each with the lanes below it, would come
+    to pass over each other.
+    """
+    if tracks.z_m.any():
+        return tracks
+    ground = np.zeros_like(tracks.z_m)
+    ground[tracks.valid] = ground_m(road, tracks.position_m[tracks.valid])
+    seen = ground[tracks.valid]
+    if np.median(np.abs(seen)) < _HIGH_M or np.ptp(seen) < _HIGH_M:
+        return tracks
+    repairs.append("The tracks have no heights; those of the nearest lanes were used.")
+    return replace(tracks, z_m=ground)
 
 
 def _ground_m(middle_m: Floats, height_m: Floats, valid: Bools) -> Floats:
