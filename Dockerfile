@@ -3,7 +3,8 @@
 FROM python:3.11-slim AS build
 # uv knows where PyTorch's builds are: cpu, or cu128 and others; empty for the one that pip would take.
 ARG TORCH_BACKEND=cpu
-ENV INSTALL="uv pip install --no-cache --python /opt/deepmf-sumo -c /src/constraints.txt"
+# Who runs the image may not write beside the modules: without bytecode each start would compile them all again.
+ENV INSTALL="uv pip install --no-cache --compile-bytecode --python /opt/deepmf-sumo -c /src/constraints.txt"
 RUN pip install --no-cache-dir uv && python -m venv --without-pip /opt/deepmf-sumo
 COPY constraints.txt /src/
 RUN $INSTALL ${TORCH_BACKEND:+--torch-backend $TORCH_BACKEND} torch

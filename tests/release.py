@@ -36,6 +36,7 @@ def run(*command: object, cwd: Path = ROOT, env: dict[str, str] | None = None) -
 
 def built(dist: Path) -> list[Path]:
     """Build wheels and source archive; they are checked."""
+    dist = dist.resolve()  # one folder, wherever the builder runs
     shutil.rmtree(dist, ignore_errors=True)
     hatch = (sys.executable, "-m", "hatchling", "build", "--directory", dist)
     run(*hatch)

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -160,6 +161,8 @@ def test_the_image_is_small_and_not_of_root():
     assert re.search(r"^USER (?!root)\w+$", last, re.MULTILINE)
     assert 'ENTRYPOINT ["deepmf-sumo"]' in last
     assert "ARG TORCH_BACKEND=cpu\n" in DOCKERFILE
+    # users of the image cannot write __pycache__: without it a start takes twice as long
+    assert "--compile-bytecode" in re.search(r"^ENV INSTALL=(.*)$", DOCKERFILE, re.MULTILINE)[1]
 
 
 @pytest.mark.sumo
@@ -181,6 +184,21 @@ def test_what_the_image_copies_makes_the_whole_package(tmp_path):
     named = {str(path.relative_to(ROOT)) for path in files if "__pycache__" not in path.parts}
     assert named <= packed
     assert "deepmf_sumo/starter/paper.yaml" in packed
+
+
+@pytest.mark.sumo
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no Git history")
+def test_the_source_archive_has_all_that_make_and_the_tests_read(tmp_path):
+    pytest.importorskip("hatchling", reason="hatchling, which builds it, is not installed")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "sdist", "-d", tmp_path]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True, timeout=200)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        packed = {name.partition("/")[2] for name in opened.getnames()}
+    command = ["git", "-C", str(ROOT), "ls-files"]
+    listed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split("\n")
+    tracked = {name for name in listed if name and (ROOT / name).exists()}
+    assert {name for name in tracked - packed if not name.startswith(".ci/")} == set()
 
 
 @pytest.mark.sumo
