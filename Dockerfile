@@ -4,6 +4,8 @@ FROM python:3.11-slim AS build
 # uv knows where PyTorch's builds are: cpu, or cu128 and others; empty for the one that pip would take.
 ARG TORCH_BACKEND=cpu
 # Who runs the image may not write beside the modules: without bytecode each start would compile them all again.
+# By hash, unchecked: layers round times of files, and a module with another time than its bytecode remembers is compiled.
+ENV PYC_INVALIDATION_MODE=UNCHECKED_HASH
 ENV INSTALL="uv pip install --no-cache --compile-bytecode --python /opt/deepmf-sumo -c /src/constraints.txt"
 RUN pip install --no-cache-dir uv && python -m venv --without-pip /opt/deepmf-sumo
 COPY constraints.txt /src/

@@ -162,6 +162,7 @@ def test_the_image_is_small_and_not_of_root():
     assert 'ENTRYPOINT ["deepmf-sumo"]' in last
     assert "ARG TORCH_BACKEND=cpu\n" in DOCKERFILE
     # users of the image cannot write __pycache__: without it a start takes twice as long
+    assert "ENV PYC_INVALIDATION_MODE=UNCHECKED_HASH\n" in DOCKERFILE
     assert "--compile-bytecode" in re.search(r"^ENV INSTALL=(.*)$", DOCKERFILE, re.MULTILINE)[1]
 
 
