@@ -142,7 +142,8 @@ def _compare(out: Path) -> None:
     from deepmf_sumo.results.risk import comparison
 
     before, after = (out / side for side in SIDES)
-    compared = comparison.compare(before, after, changed_on_purpose=True)
+    changed = {path.name for path in after.iterdir() if path.is_file()}
+    compared = comparison.compare(before, after, changed_on_purpose=changed)
     names = str(before), str(after)
     _risk_screen.show_comparison(compared, names)
     files.write(out / "compared", compared, names)

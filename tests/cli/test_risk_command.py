@@ -7,6 +7,7 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.cli._sweep import map_risk
 from deepmf_sumo.report.risk import gis
 from deepmf_sumo.results.folder import RISK_FILES, Store, opened
+from deepmf_sumo.results.risk.comparison import compare
 
 from tests.support.risk_doubles import NET, Attacks, eastward, straight
 
@@ -127,6 +128,18 @@ def test_traffic_that_has_changed_is_told(tmp_path, capsys):
         assert main.run(["compare", str(tmp_path / "was"), str(tmp_path / other)]) == 0
         shown = " ".join(capsys.readouterr().out.split())
         assert ("city.rou.xml: not the same in A and B" in shown) == told
+
+
+def test_traffic_that_try_itself_changed_is_not_told(tmp_path):
+    """An additional file may hold a program of a light, and routes beside it."""
+    for name, digest in (("was", "1"), ("is", "2")):
+        Attacks(tmp_path / name).add("a", av=eastward(), opponent=eastward(x=-160.0))
+        file = tmp_path / name / "manifest.json"
+        inputs = {f"/{name}/{one}.add.xml": digest for one in ("lights", "buses")}
+        file.write_text(json.dumps(json.loads(file.read_text()) | {"machine": {"inputs": inputs}}))
+    found = compare(tmp_path / "was", tmp_path / "is", changed_on_purpose={"lights.add.xml"})
+    [note] = [one for one in found.notes if "not the same" in one]
+    assert note.startswith("buses.add.xml: not the same in A and B")
 
 
 def a_network(folder, name):

@@ -5,7 +5,7 @@ spec or planner they belong to. Intervals are those of `results.matching`: witho
 enough pairs the means of moments, or all runs without pairs, are compared.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +43,7 @@ def _check(sides: Sides, names: Sequence[Path]) -> None:
 
 
 def _unlike(
-    sides: Sides, *, planners_differ: bool, networks_differ: bool, changed_on_purpose: bool
+    sides: Sides, *, planners_differ: bool, networks_differ: bool, on_purpose: bool
 ) -> Iterator[str]:
     """Sentences on what is not the same.
 
@@ -51,11 +51,11 @@ def _unlike(
         sides: A and B.
         planners_differ: in name or settings.
         networks_differ: in name.
-        changed_on_purpose: that a network is not the same needs no sentence.
+        on_purpose: that a network is not the same needs no sentence.
     """
     old, new = (_networks(side) for side in sides)
     changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
-    for name in [] if changed_on_purpose else changed:
+    for name in [] if on_purpose else changed:
         yield (
             f"the network {name} is not the same in A and B in spite of one name: a difference"
             " may be the network's"
@@ -69,10 +69,11 @@ def _unlike(
         )
 
 
-def _traffic_notes(a: Sequence[Path], b: Sequence[Path]) -> Iterator[str]:
-    """A sentence where files of the traffic are not the same under one name."""
+def _traffic_notes(a: Sequence[Path], b: Sequence[Path], but: Collection[str]) -> Iterator[str]:
+    """A sentence where files of the traffic, ``but`` some, are not the same under one name."""
     old, new = (_traffic(side) for side in (a, b))
-    changed = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
+    same_names = (old.keys() & new.keys()) - set(but)
+    changed = sorted(name for name in same_names if old[name] != new[name])
     if changed:
         yield (
             f"{', '.join(changed)}: not the same in A and B in spite of one name: a difference"
@@ -148,7 +149,7 @@ def compare(
     names: Sequence[str] = COMPARED,
     confidence: float = CONFIDENCE,
     *,
-    changed_on_purpose: bool = False,
+    changed_on_purpose: Collection[str] = (),
 ) -> Compared:
     """Compare two result folders, or two folders that hold result folders.
 
@@ -157,7 +158,7 @@ def compare(
         b: what is.
         names: of quantities, of `quantities.COMPARABLE`.
         confidence: of all intervals of a table together.
-        changed_on_purpose: see `_unlike`.
+        changed_on_purpose: names of files of the network that differ because they are compared.
 
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
     by different versions of the program, or their attacks had different times.
@@ -178,7 +179,7 @@ def compare(
         went,
         planners_differ="planner" in differs or bool(settings),
         networks_differ="network" in differs,
-        changed_on_purpose=changed_on_purpose,
+        on_purpose=bool(changed_on_purpose),
     )
     old, new = (_alike(side, set(differs)) for side in (old, new))
     pairs = len(_moments(old) & _moments(new))
@@ -191,7 +192,9 @@ def compare(
         notes=[
             *sessions.notes(one.source for one in (old, new)),
             *unlike,
-            *_traffic_notes(*(result_folders(side.source) for side in (old, new))),
+            *_traffic_notes(
+                *(result_folders(side.source) for side in (old, new)), but=changed_on_purpose
+            ),
             *_notes(old, new, pairs),
         ],
     )
@@ -237,14 +240,15 @@ def _side(folder: Path) -> RunSet:
 def _differs(old: pd.DataFrame, new: pd.DataFrame) -> Differs:
     """What the two sides do not have in common, with the values of each.
 
-    Of a run that is not there yet only the id is known, not its planner or network.
+    Of a run that is not there yet only the id is known, not its planner or network; of a side
+    without any run nothing.
     """
     sides = [side[side["status"] != MISSING] for side in (old, new)]
     values = {
         name: tuple(tuple(sorted(set(side[column]))) for side in sides)
         for name, column in _IDENTITY.items()
     }
-    return {name: (was, now) for name, (was, now) in values.items() if was != now}
+    return {name: (was, now) for name, (was, now) in values.items() if was and now and was != now}
 
 
 def _alike(side: RunSet, differs: set[str]) -> RunSet:
