@@ -20,7 +20,6 @@ from deepmf_sumo.study.moments.moment import (
     Moment,
     WantedMoments,
     around,
-    driven,
     opponents,
     suitable,
 )
@@ -142,9 +141,8 @@ class _Spread:
     """The edge that was chosen least often is next, and of its places one at a rare time.
 
     With ``both``, junctions that were chosen least often come after edges, and then the place and
-    the moment with the least sum of how often that time was chosen and what it lacks: an encounter
-    (0 where it comes when it suits, 1 at another time of the attack, 2 without any), and an AV that
-    drives (the share of the attack in which it does not: a touch of a standing AV says nothing).
+    the moment with the least sum of how often that time was chosen and what its encounter lacks: 0
+    where it comes when it suits, 1 at another time of the attack, 2 without any.
 
     Where encounters alone are preferred, the junction that was chosen least often comes first,
     there places with encounters, and at each place the closest encounter; edges of no junction are
@@ -157,7 +155,6 @@ class _Spread:
         rng = np.random.default_rng([wish.seed, 0x5EED])
         self._sightings, self._turns, self._wish = sightings, turns, wish
         self._met, self._prefer = met, wish.prefer
-        self._lacks: Floats = met.kind + 1.0 - driven(sightings, wish.duration_s)
         self._able = opponents(sightings)
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
@@ -165,7 +162,7 @@ class _Spread:
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
-        self._chances: dict[Place, tuple[Ints, Floats]] = {}  # with `both`: time, what lacks
+        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, kind of encounter
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
         near = gets_there(sightings, wish.duration_s)[shuffled]
@@ -191,7 +188,7 @@ class _Spread:
                 moments.append(moment)
         return moments
 
-    def _order(self, place: Place) -> tuple[float, ...]:
+    def _order(self, place: Place) -> tuple[int, ...]:
         used = self._used
         rarest = int(self._taken[self._spans[place]].min())
         spread = used.edges[place[0]], rarest, used.turns[self._turn(place)], used.places[place]
@@ -199,7 +196,7 @@ class _Spread:
             return spread
         if self._prefer == "both":
             span, chance = self._chances[place]
-            least = float((self._taken[span] + chance).min())
+            least = int((self._taken[span] + chance).min())
             junction = used.junctions[self._junction(place)]
             return used.edges[place[0]], junction, least, *spread[2:]
         edge, kind = self._sightings.edges[place[0]], self._kind[place]
@@ -214,7 +211,7 @@ class _Spread:
         cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
         rank = self._met.rank[rows]
         if self._prefer == "both":
-            cost += self._lacks[rows] + _CLOSER * rank
+            cost += self._met.kind[rows] + _CLOSER * rank
         if self._prefer == "encounters":
             cost[rank > rank.min()] = np.inf
         best = int(cost.argmin())
@@ -234,11 +231,11 @@ class _Spread:
         return self._moment(row, place, count)
 
     def _note_chances(self, place: Place) -> None:
-        """At which times moments are left at a place, and what they lack."""
+        """At which times what kind of encounter is left at a place."""
         if self._prefer == "both":
             rows = self._left[place]
-            pairs = np.unique(np.column_stack([self._span[rows], self._lacks[rows]]), axis=0)
-            self._chances[place] = pairs[:, 0].astype(np.int64), pairs[:, 1]
+            pairs = np.unique(np.column_stack([self._span[rows], self._met.kind[rows]]), axis=0)
+            self._chances[place] = pairs[:, 0], pairs[:, 1]
 
     def _too_soon(self, row: int) -> bool:
         """Whether the same vehicle is under attack at that time already."""

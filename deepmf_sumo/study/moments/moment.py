@@ -398,15 +398,10 @@ def _times(wish: WantedMoments) -> str:
 
 def drives(sightings: Sightings, duration_s: float) -> Bools:
     """(K) whether it drives at 3 m/s or more at three quarters of the seconds of an attack."""
-    return driven(sightings, duration_s) >= _MOST
-
-
-def driven(sightings: Sightings, duration_s: float) -> Floats:
-    """(K) share of the seconds of an attack at which it drives at 3 m/s or more."""
     later, seconds = _Later(sightings, duration_s), range(1, max(round(duration_s), 1) + 1)
     fast = [later(sightings.speed_mps, second) >= _DRIVES_MPS for second in seconds]
-    share: Floats = np.mean(fast, axis=0)  # a vehicle that has left does not drive
-    return share
+    driven: Bools = np.mean(fast, axis=0) >= _MOST  # a vehicle that has left does not drive
+    return driven
 
 
 def reached(sightings: Sightings, duration_s: float) -> Bools:

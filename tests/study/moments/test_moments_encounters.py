@@ -234,22 +234,6 @@ def test_both_spreads_over_edges_and_time_and_takes_encounters_there(net):
     assert len({one.start_s // 15 for one in found}) >= 3
 
 
-def test_both_takes_avs_that_drive_before_those_that_stand(net):
-    """As in a queue at a signal, where the others touch an AV that has done nothing."""
-    seen = crossings(many=4)
-    met = encounters(seen, net, 8.0)
-    before = met.kind[seen.vehicle == 0].min()
-    others = np.unique(seen.vehicle[(met.kind == before) & (seen.vehicle != 0)])
-    assert len(others)
-    stand = replace(seen, speed_mps=np.where(np.isin(seen.vehicle, others), 0.5, seen.speed_mps))
-    for seed in range(5):
-        wish = WantedMoments(count=1, seed=seed, prefer="both")
-        (chosen,) = choose(stand, {}, wish, met).moments
-        assert chosen.av not in {f"v{one}" for one in others}
-    all_stand = replace(seen, speed_mps=np.full(len(seen.time_s), 0.5))
-    assert len(choose(all_stand, {}, WantedMoments(count=3, prefer="both"), met).moments) == 3
-
-
 def test_fewer_encounters_than_moments_are_said_before_anything_is_attacked(net):
     seen = crossings(many=2)
     met = encounters(seen, net, 8.0)
