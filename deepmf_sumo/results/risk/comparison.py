@@ -69,9 +69,9 @@ def _unlike(
         )
 
 
-def _traffic_notes(a: Sequence[Path], b: Sequence[Path], but: Collection[str]) -> Iterator[str]:
+def _traffic_notes(sides: Iterable[RunSet], but: Collection[str]) -> Iterator[str]:
     """A sentence where files of the traffic, ``but`` some, are not the same under one name."""
-    old, new = (_traffic(side) for side in (a, b))
+    old, new = (_traffic(result_folders(side.source)) for side in sides)
     same_names = (old.keys() & new.keys()) - set(but)
     changed = sorted(name for name in same_names if old[name] != new[name])
     if changed:
@@ -192,9 +192,7 @@ def compare(
         notes=[
             *sessions.notes(one.source for one in (old, new)),
             *unlike,
-            *_traffic_notes(
-                *(result_folders(side.source) for side in (old, new)), but=changed_on_purpose
-            ),
+            *_traffic_notes((old, new), changed_on_purpose),
             *_notes(old, new, pairs),
         ],
     )
