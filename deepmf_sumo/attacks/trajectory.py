@@ -17,6 +17,7 @@ from deepmf_sumo.deepmf.opponent import named
 from deepmf_sumo.errors import PluginError, RunError
 from deepmf_sumo.scene import AgentId, AgentKind, Attack, Budget, Case, Floats, Plan, View
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.road_users import PEOPLE
 
 
 class Settings(plugins.Settings):
@@ -170,7 +171,7 @@ def _from_npz(content: bytes) -> Floats:
 
 _COLUMNS = ("step", "x_m", "y_m", "heading_rad")
 _SPEED = "speed_mps"
-_DRIVABLE: Final[tuple[AgentKind, ...]] = ("vehicle", "pedestrian", "cyclist")
+_DRIVABLE: Final[tuple[AgentKind, ...]] = ("vehicle", *PEOPLE)
 _NEAR_M = 0.35
 """A first pose farther from where the vehicle drives on to is away from it."""
 _FAR_M = 10.0

@@ -206,7 +206,7 @@ def single(values: Floats) -> Tensor:
     return torch.from_numpy(np.asarray(values, np.float32))
 
 
-_DEPTH_M = 0.4  # desired overlap of the boxes, so that tracking errors keep the contact
+DEPTH_M = 0.4  # desired overlap of the boxes, so that tracking errors keep the contact
 _EFFORT = 0.05  # metres of gap that an added acceleration of 1 m/s2 (mean square) is worth
 _SOFT_M = 1.0  # width of the soft minimum over time
 _BEFORE = 4  # steps before now for which the bounds hold
@@ -247,7 +247,7 @@ def bend(
     def loss(offset: Tensor) -> Tensor:
         own = offset[:, fixed:]
         added = torch.diff(offset[:, fixed - 2 :], n=2, dim=1) / DT_S**2
-        return torch.relu(gap.soft(own) + _DEPTH_M) + _EFFORT * added.square().sum(-1).mean(-1)
+        return torch.relu(gap.soft(own) + DEPTH_M) + _EFFORT * added.square().sum(-1).mean(-1)
 
     found = descend(
         loss,

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from deepmf_sumo.attacks._episodes import AgentMotion, Scouted
+from deepmf_sumo.baselines._art_descent import DEPTH_M
 from deepmf_sumo.baselines._scene_graph import DISCS, ROAD_M, Obstacles, Path, situation_of
 from deepmf_sumo.baselines.priors import costs
 from deepmf_sumo.baselines.priors.diffscene import (
@@ -29,7 +30,6 @@ _SPARSE: Final = 2
 """The road and others use every second of these."""
 _FREE: Final = 10
 """Of these steps: gaps of the first 2 s can hardly be changed."""
-_DEPTH_M: Final = 0.4  # desired overlap, so that tracking errors keep the contact
 _KNOWN_M: Final = ROAD_M - 10.0
 """Nothing is said about the road farther from the AV's place of now."""
 _BESIDE_M: Final = 30.0
@@ -126,7 +126,7 @@ class Guide:
         apart = costs.apart(own, self._av) - self._reach
         near = apart.masked_fill(~self._there, 1e4)[:, _FREE:]
         soft = ((-near.detach()).softmax(-1) * near).sum(-1)
-        return (soft + _DEPTH_M).clamp_min(0.0)
+        return (soft + DEPTH_M).clamp_min(0.0)
 
     def constraints(self, position: Tensor) -> Tensor:
         """(S, 20) of motions (S, 80, 2), every 0.4 s: off the road, and overlap with others."""

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepmf_sumo.baselines._art_descent import GONE_M, Adam, circles, single
+from deepmf_sumo.baselines._art_descent import DEPTH_M, GONE_M, Adam, circles, single
 from deepmf_sumo.scene import DT_S, Bools, Floats
 from deepmf_sumo.scene.car_following import TREIBER, desired_gap_m
 from deepmf_sumo.scene.road_users import ROAD_USERS
@@ -20,7 +20,6 @@ EVERY = 2
 """Steps between the points at which motions are compared, and between two controls: 5 Hz."""
 _TAKEN_S = EVERY * DT_S
 _SOFT_M = 1.0  # width of the soft minimum over time
-_DEPTH_M = 0.4  # desired overlap, so that tracking errors keep the contact
 _ROOM_M = 1.0  # that other road users should have
 _CORRIDOR_M = 0.3  # width of the edge of the AV's corridor
 
@@ -113,7 +112,7 @@ def descend(
         done += 1
         if gap < least:
             best, least = position, gap
-        if gap < -_DEPTH_M / 2:
+        if gap < -DEPTH_M / 2:
             break
         (slope,) = torch.autograd.grad(cost, controls)
         controls = (controls.detach() - adam.step(slope)).clamp(-1.0, 1.0).requires_grad_()

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from deepmf_sumo.cli._screen import escape, wide
 from deepmf_sumo.deepmf.networks.weights import Network
+from deepmf_sumo.scene.road_users import PEOPLE
 from deepmf_sumo.training.evaluation import Evaluation, Figure
 
 _SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 8.0)
@@ -28,7 +29,6 @@ _CONDITIONS: Final = {
     "given_true": "conditional, given the true future",
     "given_shuffled": "conditional, given a shuffled one",
 }
-_KINDS: Final = ("pedestrian", "cyclist")
 _KNOTS_S: Final = (1.0, 2.0, 4.0, 6.0, 8.0)
 _GROUPS: Final = {"all": "both", "av": "AV", "partner": "partner"}
 _GAINS: Final = {
@@ -157,7 +157,7 @@ def _conditional(found: Evaluation) -> Iterator[Table | str]:
 
 def _people(found: Evaluation) -> Iterator[Table | str]:
     of = partial(found.of, "people", "targets")
-    kinds = [kind for kind in _KINDS if of(group=kind).value]
+    kinds = [kind for kind in PEOPLE if of(group=kind).value]
     if not kinds:
         yield "People: there are no pedestrians and no cyclists in these recordings."
         return

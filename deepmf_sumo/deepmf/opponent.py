@@ -25,12 +25,11 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.walkable import walkable
-from deepmf_sumo.scene.road_users import MotionModel, road_user
+from deepmf_sumo.scene.road_users import PEOPLE, MotionModel, road_user
 
 SCORED: Final = frozenset({"argmax", "sample", "partner"})
 """Values of ``opponent`` that need the scores of the opponent network."""
 Attackers = Literal["vehicles", "people", "all"]
-PEOPLE: Final[tuple[AgentKind, ...]] = ("pedestrian", "cyclist")
 _VEHICLES: Final[tuple[AgentKind, ...]] = ("vehicle",)
 ATTACK: Final[dict[Attackers, tuple[AgentKind, ...]]] = {
     "vehicles": _VEHICLES,

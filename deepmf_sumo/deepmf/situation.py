@@ -19,7 +19,7 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of
-from deepmf_sumo.scene.road_users import MotionLimits
+from deepmf_sumo.scene.road_users import PEOPLE, MotionLimits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,7 +70,7 @@ class Situation:
             view=view,
             opponent_id=opponent_id,
             kind=kind,
-            person=kind in {"pedestrian", "cyclist"},
+            person=kind in PEOPLE,
             size_m=footprint(view, opponent_id),
             av_size_m=footprint(view, view.av_id),
             start=Start.of(view, opponent_id),

@@ -18,6 +18,7 @@ from deepmf_sumo.exporters.base import Exportable, known_heights
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.scene import Boundary, Floats, Lane, Neighbour, RoadMap, Scene, Signals
 from deepmf_sumo.scene.readers.protos import scenario_pb2 as pb
+from deepmf_sumo.scene.readers.raw.road import MPS_PER_MPH
 from deepmf_sumo.scene.readers.womd import packed
 
 FILE: Final = "womd/"
@@ -30,7 +31,6 @@ _TYPES: Final = {
 }
 _LANES: Final = {"unknown": 0, "freeway": 1, "street": 2, "bike": 3}
 """LaneCenter.type."""
-_MPS_PER_MPH: Final = 0.44704
 
 
 class Settings(plugins.Settings):
@@ -158,7 +158,7 @@ def _points(points_m: Floats, z_m: Floats) -> list[pb.MapPoint]:
 
 def _lane(lane: Lane, numbers: Numbers) -> pb.LaneCenter:
     return pb.LaneCenter(
-        speed_limit_mph=(lane.speed_limit_mps or 0.0) / _MPS_PER_MPH,
+        speed_limit_mph=(lane.speed_limit_mps or 0.0) / MPS_PER_MPH,
         type=_LANES[lane.kind],
         interpolating=lane.interpolating,
         polyline=_points(lane.centre_m, lane.z_m),

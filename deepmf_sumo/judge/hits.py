@@ -18,7 +18,7 @@ from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
 from deepmf_sumo.scene import RoadMap, Rollout, Tracks
-from deepmf_sumo.scene.geometry.slow import STANDING_MPS
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS, WAITING_MPS
 from deepmf_sumo.scene.road_users import road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, STOP_FIRST
 from deepmf_sumo.sumo.network.matching import match
@@ -33,7 +33,6 @@ _CHANGED_MPS: Final = 1.0
 """Less change of speed is holding it."""
 _STEERED_M: Final = 0.75
 """Farther from the middle of the lane than before is steering."""
-_SLOW_MPS: Final = 0.5
 _STOPPED_STEPS: Final = 10
 """A vehicle has stopped if it is never faster than 0.5 m/s in the last 10 steps."""
 _LATE_S: Final = 1.0
@@ -187,7 +186,7 @@ def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | N
     if speed.max() <= STANDING_MPS:
         return "stood"
     last = tracks.speed_mps[av, max(contact - _STOPPED_STEPS, 0) : contact]
-    if speed.max() > _CHANGED_MPS and last.max(initial=0.0) <= _SLOW_MPS:
+    if speed.max() > _CHANGED_MPS and last.max(initial=0.0) <= WAITING_MPS:
         return "stopped"
     if road is not None and _steers(tracks, av, onset, contact, road):
         return "steered"

@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmf_sumo.live.alpasim_messages import MESSAGES
 from deepmf_sumo.scene import DT_S, AgentId, AgentKind, Bools, Floats, Ints, Tracks
+from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.sumo.simulation.frame import Pose
 
 EGO: Final = "EGO"
@@ -200,7 +201,7 @@ class LoggedScene:
             return self.ways[EGO].at(np.array([time_us]))[0]
         times, values = self._told_us[told - 1 : told + 1], self._told[told - 1 : told + 1]
         share = (time_us - times[0]) / (times[1] - times[0])
-        turn = (values[1][3] - values[0][3] + np.pi) % (2 * np.pi) - np.pi
+        turn = frames.difference(values[1][3], values[0][3])
         mixed = (1 - share) * values[0] + share * values[1]
         mixed[3] = values[0][3] + share * turn
         return mixed
@@ -236,7 +237,7 @@ def _tracks(
     if not (np.isfinite(size_m).all() and (size_m > 0).all()):
         raise RefusedCall("INVALID_ARGUMENT", "an aabb has a size that is not above 0")
     velocity = np.stack([_velocity(way, times_us) for way in ways.values()])
-    heading = (states[..., 3] + np.pi) % (2 * np.pi) - np.pi
+    heading = frames.wrap(states[..., 3])
     shown = valid[..., None]
     return Tracks(
         ids=tuple(ways),

@@ -27,6 +27,7 @@ from deepmf_sumo.live.session import LiveAttack, Switch, TimeJump
 from deepmf_sumo.results import artifacts, folder, result, sessions, signals, turns
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
+from deepmf_sumo.results.tracks import FILE as TRACKS
 from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.scene import DT_S, AgentId, Attack, Contact, Event, RoadMap, TrafficCase
 from deepmf_sumo.scene.rollout import decisive
@@ -81,9 +82,9 @@ class SessionResults:
         run_id = f"attack-{len(self._found) + 1:03d}"
         folder = self._store.runs / run_id
         (folder / "sumo").mkdir(parents=True, exist_ok=True)
-        write_tracks(folder / "tracks.csv.gz", attack.rollout)
+        write_tracks(folder / TRACKS, attack.rollout)
         signals.write_signals(folder / signals.FILE, attack.rollout, self._setting.road)
-        artifacts.write_plans(folder / "plans.npz", attack.rollout)
+        artifacts.write_plans(folder / artifacts.PLANS, attack.rollout)
         self._keep_net(folder / "sumo")
         self._keep_map(folder / "sumo")
         scene = f"{attack.rollout.av_id}-{attack.begin_s:.12g}s"

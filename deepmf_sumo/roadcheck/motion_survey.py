@@ -11,6 +11,7 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.judge.metrics.traffic_conflicts import RoadUserMotions
 from deepmf_sumo.scene import DT_S, AgentId, agent_ids
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.sumo.network.sumo_net import edge_of
 from deepmf_sumo.sumo.simulation.long_vehicles import State
 from deepmf_sumo.sumo.simulation.road_users import TrafficReader
@@ -21,7 +22,6 @@ MOST_VEHICLE_STEPS: Final = 10_000_000
 """A minute or two of SUMO, and 0.7 GB; a count, so that every machine ends at the same time."""
 _PARKED: Final = 2
 """Bit of SUMO's stop states."""
-_STANDING_MPS: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +132,7 @@ class _Sighted:
         if person is not None:
             return str(self.api.person.getLaneID(person))
         whole = agent_ids.whole_of(agent)
-        if speed_mps < _STANDING_MPS and vehicle.getStopState(whole) & _PARKED:
+        if speed_mps < STANDING_MPS and vehicle.getStopState(whole) & _PARKED:
             return ""
         lane = str(vehicle.getLaneID(whole))
         return lane and self.reader.bodies.long.lane.get(agent, lane)

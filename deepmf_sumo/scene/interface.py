@@ -77,7 +77,8 @@ class SumoNet:
     ghost_edge: str | None = None
 
 
-MadePlace = Literal["kerb", "crossing", "stop", "behind_vehicle", "queue", "cyclist", "given"]
+PersonPlace = Literal["kerb", "crossing", "stop", "behind_vehicle", "queue", "cyclist"]
+MadePlace = Literal[PersonPlace, "given"]
 """Where a made road user is: beside the road; at a pedestrian crossing or a stop line; at a bus
 stop; behind a vehicle that stands; beside the gap between two vehicles of a queue; riding beside
 the lane; where a spec puts it."""

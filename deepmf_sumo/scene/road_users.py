@@ -14,6 +14,8 @@ import numpy as np
 from deepmf_sumo.scene._arrays import Floats
 from deepmf_sumo.scene.scene import AgentKind
 
+PEOPLE: Final[tuple[AgentKind, ...]] = ("pedestrian", "cyclist")
+"""Kinds that nothing but a helmet protects: on foot or on a bicycle."""
 RoadUserClass = Literal["car", "truck", "motorcycle", "bicycle", "pedestrian", "other"]
 """``truck``: buses, too, which have the same sizes. ``other``: trams, trains, animals, objects."""
 Body = Literal["single_track", "point", "fixed"]
@@ -110,8 +112,8 @@ class RoadUser:
 
     @property
     def person(self) -> bool:
-        """Whether nothing but a helmet protects it: on foot or on a bicycle."""
-        return self.kind in {"pedestrian", "cyclist"}
+        """Whether it is one of `PEOPLE`."""
+        return self.kind in PEOPLE
 
 
 _CAR: Final = MotionModel(

@@ -22,6 +22,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import nearest
+from deepmf_sumo.scene import PersonPlace
+from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.spec import profiles
 from deepmf_sumo.spec.profiles import DEFAULT_RULES, ProfileName
 from deepmf_sumo.spec.profiles import wrong as _wrong
@@ -136,12 +138,12 @@ class _Source(Strict):
         return values
 
 
-PersonPlace = Literal["kerb", "crossing", "stop", "behind_vehicle", "queue", "cyclist"]
 PERSON_PLACES: Final[tuple[PersonPlace, ...]] = get_args(PersonPlace)
 _Point = Annotated[tuple[float, float], Field(strict=False)]
 
 
 Who = Literal["existing", "made", "both"]
+_FASTEST_MPS: Final = ROAD_USERS["bicycle"].motion.fastest_mps
 
 
 class GivenPerson(Strict):
@@ -150,7 +152,9 @@ class GivenPerson(Strict):
     road_user: Literal["pedestrian", "bicycle"] = "pedestrian"
     position_m: _Point = Field(description="x and y in the network, at the start of the episode")
     heading_rad: float = Field(description="counter-clockwise from east")
-    speed_mps: float = Field(default=0.0, ge=0, le=8.3, description="along way_m; 0: it stands")
+    speed_mps: float = Field(
+        default=0.0, ge=0, le=_FASTEST_MPS, description="along way_m; 0: it stands"
+    )
     way_m: Annotated[tuple[_Point, ...], Field(strict=False)] = Field(
         default=(), description="line through the position, from a second before it on to where"
         " it stops; empty: straight on"

@@ -22,7 +22,7 @@ Why it is as it is:
   (`simulation.ignored_vehicles`); a red that the recorded AV itself passes is off.
 - Against ``replay`` with logged traffic no vehicle reacts, and an episode is put together without
   SUMO (`simulation.log_only`), equal to the bit to the one with it; searches gain a factor of
-  fifty. As a world in the loop of the others it takes 2 to 5 times as long as from plan to plan.
+  fifty. As a world in the loop of the others it takes 2.5 to 9 times as long as from plan to plan.
 - SUMO's traffic is polled (`simulation.road_users`): subscriptions save 0.1 to 0.2 ms of a step
   with 40 to 120 vehicles, and context subscriptions leave out vehicles off every lane.
 - SUMO writes into one folder (`simulation.sumo_outputs`): a prefix that leads to / and down again

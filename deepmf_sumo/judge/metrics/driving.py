@@ -18,7 +18,7 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.geometry import frames, polylines, road
 from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
 from deepmf_sumo.scene.geometry.walkable import walkable
-from deepmf_sumo.scene.road_users import RoadUser, road_user
+from deepmf_sumo.scene.road_users import PEOPLE, RoadUser, road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS
 
 _TURN_NOISE_RAD = 0.1
@@ -111,7 +111,7 @@ def _on_road(episode: Episode) -> float:
     rollout, road_map = episode.rollout, episode.case.road
     driving = _slices.driving(rollout)
     places = _slices.places(rollout, driving)
-    if rollout.tracks.kinds[driving.row] in {"pedestrian", "cyclist"}:
+    if rollout.tracks.kinds[driving.row] in PEOPLE:
         return float(walkable(road_map).holds(*places).mean())
     return float(road.on_road(road_map, *places).mean())
 

@@ -10,7 +10,7 @@ from typing import Final
 from deepmf_sumo.judge import impact
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, metric
 from deepmf_sumo.scene import Contact
-from deepmf_sumo.scene.road_users import class_of
+from deepmf_sumo.scene.road_users import PEOPLE, class_of
 
 _KMH: Final = 3.6
 _FATAL_PEDESTRIAN: Final = (6.9, 0.090)
@@ -36,7 +36,7 @@ def impact_share(episode: Episode) -> float:
 def person_impact_speed(episode: Episode) -> float:
     """Of hits of a pedestrian or cyclist: the AV's speed at the last step before the contact."""
     contact = _slices.collision(episode.rollout)
-    if episode.rollout.tracks.kinds[_other(episode, contact)] not in {"pedestrian", "cyclist"}:
+    if episode.rollout.tracks.kinds[_other(episode, contact)] not in PEOPLE:
         raise NotMeasurable("the opponent is neither a pedestrian nor a cyclist")
     return _speed_mps(episode, contact)
 

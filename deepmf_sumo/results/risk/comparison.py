@@ -21,6 +21,7 @@ from deepmf_sumo.results.risk.attacks import net_digest
 from deepmf_sumo.results.risk.origins import HitOrigin, origins, tagged
 from deepmf_sumo.results.run_sets import RunSet
 from deepmf_sumo.results.setups import WHOM, differing
+from deepmf_sumo.results.statistics import CONFIDENCE
 from deepmf_sumo.results.stored import inputs_of, result_folders
 from deepmf_sumo.scene import DT_S
 
@@ -114,7 +115,6 @@ COMPARED: Final = (
     "av_collision_rate", "collision_rate", "impact_mps", "criticality", "ttc_s", "min_gap_m",
     "required_braking_mps2",
 )  # fmt: skip
-CONFIDENCE: Final = 0.95
 _IDENTITY: Final = {
     "spec": "spec", "network": "network", "method": "method", "planner": "planner_label",
 }  # fmt: skip

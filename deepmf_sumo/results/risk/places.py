@@ -17,6 +17,7 @@ import shapely
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.sumo.network.sumo_net import (
+    TURNS,
     NetEdge,
     NetFile,
     NetJunction,
@@ -31,9 +32,6 @@ KINDS: Final[tuple[Kind, ...]] = ("movement", "edge", "junction", "lane")
 SITES: Final[tuple[Kind, ...]] = ("movement", "edge")
 """The kinds that cover the network: each run was decided at one of them."""
 
-TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
-    "t": "turnaround"
-}
 _RULES: Final = {"M": "priority", "m": "give way", "=": "right before left", "s": "stop"} | {
     "w": "all-way stop", "Z": "zipper merge",
 }  # fmt: skip

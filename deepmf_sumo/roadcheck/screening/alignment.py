@@ -11,6 +11,7 @@ import shapely
 from deepmf_sumo.roadcheck.screening.findings import Case, Judged
 from deepmf_sumo.roadcheck.screening.guidelines import GRAVITY, KMH, Guideline
 from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, Way, for_cars, for_motors
+from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane
 
 _STEP_MPS: Final = 30 * KMH
@@ -199,8 +200,8 @@ def _joins(
         lit = one.link.light or two.link.light
         if one.target.id != two.target.id or one.lane.edge == two.lane.edge or lit:
             continue
-        between = roads.places.heading_rad(one.lane.edge) - roads.places.heading_rad(two.lane.edge)
-        apart = abs((between + math.pi) % (2 * math.pi) - math.pi)
+        headings = (roads.places.heading_rad(way.lane.edge) for way in (one, two))
+        apart = abs(float(frames.difference(*headings)))
         ramp, main = (two, one) if roads.waits(two, one) else (one, two)
         need = book.acceleration_m(main.target.speed_mps, ramp.lane.speed_mps)
         if apart > _MERGING_RAD or need is None:

@@ -15,9 +15,11 @@ import shapely
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import SimulationError, UsageError
-from deepmf_sumo.results.risk.places import TURNS, Places, read
+from deepmf_sumo.results.risk.places import Places, read
 from deepmf_sumo.scene import Floats
+from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.sumo.network.sumo_net import (
+    TURNS,
     NetEdge,
     NetFile,
     NetLane,
@@ -120,8 +122,7 @@ def _heading(shape_m: Floats) -> float:
 
 def _bend(before: Floats, behind: Floats) -> float:
     """Angle from the end of a line (P, 2) to the begin of another, 0 to pi."""
-    turned = _heading(behind) - _heading(before[::-1]) - math.pi
-    return abs((turned + math.pi) % (2 * math.pi) - math.pi)
+    return abs(float(frames.difference(_heading(behind), _heading(before[::-1]) + math.pi)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -38,8 +38,8 @@ def reach_m(lane: Lane) -> float:
 def per_road(prepare: Callable[[RoadMap], T]) -> Callable[[RoadMap], T]:
     """Decorator: prepare once for each road, and keep the result while the road lives.
 
-    A road cannot hold what is derived of it: `RoadMap` is frozen, and `datatypes` lies below
-    everything that prepares it. At most eight results are kept, those used last, because a program
+    A road cannot hold what is derived of it: `RoadMap` is frozen, and knows nothing of
+    what prepares it. At most eight results are kept, those used last, because a program
     may hold thousands of scenes. The result must not refer to the road, or both would stay.
     """
     kept: WeakKeyDictionary[RoadMap, T] = WeakKeyDictionary()

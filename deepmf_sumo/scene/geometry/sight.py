@@ -20,10 +20,10 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.scene import AgentKind, Bools, Floats, Ints, RoadMap, Tracks, agent_ids
+from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Tracks, agent_ids
 from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.geometry.lane_map import per_road
-from deepmf_sumo.scene.road_users import road_user
+from deepmf_sumo.scene.road_users import PEOPLE, road_user
 
 COLUMNS: Final = 9
 VISIBLE: Final = 0.5
@@ -31,7 +31,6 @@ VISIBLE: Final = 0.5
 HEAD_M: Final = 0.12
 _EYE_BACK, _EYE_BACK_M = 0.4, 2.0
 _EYE_HEIGHT, _EYE_HEIGHT_M = 0.8, 2.33
-_TRANSPARENT: Final[frozenset[AgentKind]] = frozenset({"pedestrian", "cyclist"})
 _WALLS_M: Final = 200.0
 """Buildings farther away are not looked at."""
 
@@ -90,7 +89,7 @@ def shares(
     av = agent_ids.whole_of(tracks.ids[av_row])
     wholes = [agent_ids.whole_of(one) for one in tracks.ids]
     own = np.array([one == av for one in wholes])
-    opaque = np.array([kind not in _TRANSPARENT for kind in tracks.kinds])
+    opaque = np.array([kind not in PEOPLE for kind in tracks.kinds])
     wanted = np.ones(tracks.agents, bool) if only is None else np.arange(tracks.agents) == only
     seen, hides = np.flatnonzero(there & ~own & wanted), np.flatnonzero(there & opaque & ~own)
     names = {name: number for number, name in enumerate(dict.fromkeys(wholes))}

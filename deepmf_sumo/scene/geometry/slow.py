@@ -1,9 +1,9 @@
 """Speeds below which a vehicle counts as standing, or as having no direction of motion.
 
 Other thresholds in the package mean something else: what a network was trained with
-(`predictors`), one component of a motion (`avoidability.reference_drivers`), a rolling stop at a
-sign (`deepmf.traffic_rules`), the slip angle between heading and motion (`feasible`, `tracking`),
-and the definitions of published metrics (`wrong_way_share`).
+(`deepmf.networks`), one component of a motion (`judge.avoidability.reference_drivers`), a rolling
+stop at a sign (`deepmf.traffic_rules`), the slip angle between heading and motion (`feasible`,
+`tracking`), and the definitions of published metrics (`wrong_way_share`).
 """
 
 from typing import Final

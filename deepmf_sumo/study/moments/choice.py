@@ -23,13 +23,10 @@ from deepmf_sumo.study.moments.moment import (
     opponents,
     suitable,
 )
-from deepmf_sumo.sumo.network.sumo_net import NetFile
+from deepmf_sumo.sumo.network.sumo_net import TURNS, NetFile
 from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Ints, Sightings, growth
 
 ALONG: Final = "along"
-_TURNS: Final = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"} | {
-    "t": "turnaround"
-}
 _CLOSER: Final = 1e-3
 """Weight of how close an encounter is: among equals alone."""
 
@@ -120,9 +117,9 @@ def _notes(
 def turns_of(net: NetFile) -> dict[tuple[str, str], str]:
     """What it is to drive from an edge to another."""
     return {
-        (link.origin.rpartition("_")[0], link.target.rpartition("_")[0]): _TURNS[link.direction]
+        (link.origin.rpartition("_")[0], link.target.rpartition("_")[0]): TURNS[link.direction]
         for link in net.links
-        if link.direction in _TURNS
+        if link.direction in TURNS
     }
 
 

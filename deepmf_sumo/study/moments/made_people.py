@@ -11,11 +11,20 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from deepmf_sumo.scene import DT_S, AgentId, Floats, MadePlace, MadeRoadUser, Rollout, TrafficCase
+from deepmf_sumo.scene import (
+    DT_S,
+    AgentId,
+    Floats,
+    MadePlace,
+    MadeRoadUser,
+    PersonPlace,
+    Rollout,
+    TrafficCase,
+)
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import ROAD_USERS
-from deepmf_sumo.spec import GivenPerson, PersonPlace, WantedPeople
+from deepmf_sumo.spec import GivenPerson, WantedPeople
 from deepmf_sumo.study.moments.roadside import (
     GAP_M,
     Roadside,
@@ -44,7 +53,8 @@ _QUEUE_GAP_M: Final = (1.0, 8.0)
 _STRAIGHT_M: Final = 0.5
 """A kerb whose distance from the way changes by more within a metre ends there."""
 _SHORTEST_M: Final = 4.0
-_HALF_M: Final = 0.45
+_HALF_M: Final = ROAD_USERS["pedestrian"].size_m[1] / 2
+_HALF_BICYCLE_M: Final = ROAD_USERS["bicycle"].size_m[1] / 2
 _STOP_REACH_M: Final = 15.0
 _WHOLE_S: Final = 1.0
 """Before the start, from which on somebody is there."""
@@ -225,7 +235,7 @@ def _kerb(
 
 def _beside_road(found: Sequence[_Candidate], here: Roadside) -> list[_Candidate]:
     """Those who are not on the carriageway, nor far from it."""
-    half_m = {"bicycle": 0.4, "pedestrian": _HALF_M}
+    half_m = {"bicycle": _HALF_BICYCLE_M, "pedestrian": _HALF_M}
     kept = []
     for one in found:
         points = shapely.points(one.position_m[None] if one.way_m is None else one.way_m)
@@ -401,8 +411,8 @@ def _cyclist(
     rng: np.random.Generator,
 ) -> tuple[list[_Candidate], str]:
     """A cyclist who rides in the direction of traffic, beside the lane near the kerb."""
-    half_m = ROAD_USERS["bicycle"].size_m[1] / 2
-    exits_m = np.where(here.inside, np.nan, here.exits_m(here.kept(half_m), here.outer))
+    kept = here.kept(_HALF_BICYCLE_M)
+    exits_m = np.where(here.inside, np.nan, here.exits_m(kept, here.outer))
     begin = int(np.argmax(here.arrives_s >= 0.0))
     found = []
     for ahead_m in range(int(_AHEAD_M[0]), int(_AHEAD_M[1]), 2):

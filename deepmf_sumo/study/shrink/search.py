@@ -33,6 +33,7 @@ from deepmf_sumo.study.shrink.candidate import (
 )
 from deepmf_sumo.study.shrink.failure import RecordedHit
 from deepmf_sumo.study.sweep.episode import TaskRunner
+from deepmf_sumo.study.sweep.limits import MEMORY_MB, TIMEOUT_S
 from deepmf_sumo.study.sweep.workers import Worker
 
 
@@ -102,7 +103,7 @@ class Simulator:
         self.done += 1
         if self._worker is None or not self._worker.alive:
             work = TaskRunner(runs=self._runs, cache=cache_folder(), sumo=False)
-            self._worker = Worker(work, _TIMEOUT_S, _MEMORY_MB)
+            self._worker = Worker(work, TIMEOUT_S, MEMORY_MB)
         ending = self._worker.do(task)
         folder = self._runs / task.run_id
         if ending.status == "done":
@@ -196,8 +197,6 @@ _FASTER_MPS: Final = 0.5
 """What rounding of poses may add to an acceleration."""
 _AVERAGED: Final = (10, 5, 2)
 _SCALES: Final = (0.5, 0.7, 0.85, 0.95)
-_TIMEOUT_S: Final = 600.0
-_MEMORY_MB: Final = 4096.0
 _SPAN: Final = 2
 """Steps on each side of a second difference, as in metrics of motion."""
 

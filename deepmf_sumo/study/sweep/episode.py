@@ -37,6 +37,7 @@ from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.results import artifacts, result, signals, turns
 from deepmf_sumo.results.result import Result, first_contact
+from deepmf_sumo.results.tracks import FILE as TRACKS
 from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.scene import (
     DT_S,
@@ -179,8 +180,8 @@ class TaskRunner:
         decided = metrics.Episode(*decisive)
         measured = metrics.measured(decided)
         by_turn = turns.judged(rollout, case, metrics.measure)
-        write_tracks(folder / "tracks.csv.gz", rollout)
-        artifacts.write_plans(folder / "plans.npz", rollout)
+        write_tracks(folder / TRACKS, rollout)
+        artifacts.write_plans(folder / artifacts.PLANS, rollout)
         artifacts.write_unattacked(folder, *decisive)
         signals.write_signals(folder / signals.FILE, rollout, case.road)
         done = Exportable.of(rollout, case)

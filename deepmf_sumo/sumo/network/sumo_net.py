@@ -27,6 +27,13 @@ ROAD_VEHICLES: Final = (
 )  # fmt: skip
 RAIL_VEHICLES: Final = ("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway")
 """SUMO's classes of vehicles whose lanes are roads and tracks; bicycles are neither."""
+TURNS: Final = {
+    "s": "straight",
+    **dict.fromkeys("lL", "left"),
+    **dict.fromkeys("rR", "right"),
+    **dict.fromkeys("tT", "turnaround"),
+}
+"""By the direction of a connection; ``T``: where traffic drives on the left."""
 ON_FOOT: Final = {"crossing", "walkingarea"}
 """Functions of edges for pedestrians alone."""
 

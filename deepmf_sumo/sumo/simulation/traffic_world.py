@@ -22,6 +22,7 @@ from deepmf_sumo.scene import (
     agent_ids,
 )
 from deepmf_sumo.scene.geometry.ground import ground_of
+from deepmf_sumo.scene.road_users import PEOPLE
 from deepmf_sumo.sumo.network.carriageway import carriageway_of
 from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
@@ -46,7 +47,6 @@ from deepmf_sumo.sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
 """Time after the start in which the message looks for a missing AV."""
-_PEOPLE = {"pedestrian", "cyclist"}
 
 
 @contextmanager
@@ -286,7 +286,7 @@ class TrafficWorld:
         """Take persons on foot and those of the vehicles that are cyclists off the road."""
         vehicle, person = self._api.vehicle, self._api.person
         for name in vehicles:
-            if name != self._av_id and kind_of(vehicle.getVehicleClass(name)) in _PEOPLE:
+            if name != self._av_id and kind_of(vehicle.getVehicleClass(name)) in PEOPLE:
                 vehicle.remove(name)
         for name in person.getIDList():
             if on_foot(person.getVehicle(name)):
@@ -296,7 +296,7 @@ class TrafficWorld:
         """The frame without the people of the demand."""
         kept = {self._av_id, *self._made.ids}
         return frame.of_agents(
-            {one for one in frame.ids if one in kept or self.body(one).kind not in _PEOPLE}
+            {one for one in frame.ids if one in kept or self.body(one).kind not in PEOPLE}
         )
 
     def _note_step_length(self, configuration: Configuration) -> None:

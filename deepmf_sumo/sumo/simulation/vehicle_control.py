@@ -13,6 +13,7 @@ import numpy as np
 from deepmf_sumo.scene import AgentId, Event, Floats, agent_ids
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
+from deepmf_sumo.sumo.network.sumo_net import TURNS
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS, Walk
@@ -33,7 +34,6 @@ _SHORTEST_M: Final = 0.5
 _BEYOND_M: Final = 0.1
 _BEYOND_TURN_M: Final = 2.5  # where a vehicle may turn back
 _STRAIGHT_ON = 0.5  # cosine of the angle to the lane: one that turns back has a larger angle
-_TURNS_BACK = ("t", "T")  # directions of links
 _ASKEW_RAD: Final = 0.1
 CREEP_MPS: Final = 5.0
 """At which a vehicle drives to where SUMO can drive it on."""
@@ -132,7 +132,7 @@ class NetworkEnds:
         edge = lane.rpartition("_")[0]
         beside = range(self._api.edge.getLaneNumber(edge))
         links = [link for i in beside for link in self._api.lane.getLinks(f"{edge}_{i}")]
-        if any(link[6] not in _TURNS_BACK for link in links):
+        if any(TURNS.get(link[6]) != "turnaround" for link in links):
             return None
         shape = np.array(self._api.lane.getShape(lane), float)[:, :2]
         ahead = shape[-1] - shape[-2]

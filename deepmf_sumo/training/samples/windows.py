@@ -20,12 +20,12 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.ground import clear, ground_of
+from deepmf_sumo.scene.road_users import PEOPLE
 
 MIN_FUTURE_STEPS: Final = 30
 """Targets are known for at least 3 s."""
 MIN_ATTACKED_STEPS: Final = 10
 """An attacked AV is known for at least 1 s: its motion just before a contact matters most."""
-PEOPLE: Final = ("pedestrian", "cyclist")
 MIN_DISTANCE_M: Final = 2.0
 """Vehicles that move less are not targets, except the AV and labelled agents."""
 LABELS: Final = 2
