@@ -464,9 +464,9 @@ def delta_v(
     other = _stacked([reaction.futures.position_m for reaction in reactions])
     apart = other[row, mode, after] - candidates.position_m[row, after]
     before = other[row, mode, after - 1] - candidates.position_m[row, after - 1]
-    area, av_area = np.prod(opponent_size_m), np.prod(av_size_m)
     relative = np.hypot(*(apart - before).T) / DT_S
-    change[row, mode] = relative * area / (area + av_area)
+    areas = (float(size.prod()) for size in (av_size_m, opponent_size_m))
+    change[row, mode] = impact.delta_v(relative, *areas)
     return change
 
 

@@ -43,6 +43,15 @@ def sectors(
     return np.round(np.arctan2(y, x) / (np.pi / 4)).astype(np.int64) % 8
 
 
+def delta_v(relative_mps: Floats, area_m2: float, other_m2: float) -> Floats:
+    """Change of velocity in m/s of a road user of an area that another hits, and sticks to.
+
+    Masses are taken to be as areas: results name no mass.
+    """
+    change: Floats = relative_mps * other_m2 / (area_m2 + other_m2)
+    return change
+
+
 def overlap_middle(
     centre_a: Floats,
     heading_a: Floats,

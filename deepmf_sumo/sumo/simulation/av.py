@@ -11,8 +11,8 @@ from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
-from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
-from deepmf_sumo.sumo.simulation.vehicle_control import MATCH_M, HandOver, has_stops, move
+from deepmf_sumo.sumo.simulation.sumo_api import MATCH_M, SumoApi
+from deepmf_sumo.sumo.simulation.vehicle_control import HandOver, has_stops, move
 from deepmf_sumo.sumo.simulation.way_on import WayOn
 
 # Bits of speedMode: 1 safe speed, 2 and 4 limits of acceleration and deceleration, 8 right of way,

@@ -171,7 +171,7 @@ class ContactFinder:
                     poses[me, :2], poses[me, 2], size[0], poses[other, :2], poses[other, 2], size[1]
                 )
             ),
-            delta_v_mps=float(np.hypot(*relative) * area[1] / area.sum()),
+            delta_v_mps=float(impact.delta_v(np.hypot(*relative), area[0], area[1])),
         )
 
 

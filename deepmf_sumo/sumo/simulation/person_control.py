@@ -27,12 +27,11 @@ from deepmf_sumo.sumo.network.sumo_net import edge_of
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.road_users import on_foot
-from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import MATCH_M, SumoApi
 
 SEEN_ON_ANY_LANE: Final = 4
 """Added to keepRoute: SUMO takes it on lanes that its class may not use, too."""
 _EXACT: Final = 2
-_MATCH_M: Final = 5.0
 _MATCH_NOTHING_M: Final = -1.0
 _SNAP_M: Final = 100.0
 _REACH_M: Final = 30.0
@@ -126,7 +125,7 @@ class PersonControl:
         if self._footways.closed(lane) and len(self._api.person.getEdges(_name(agent))) > 1:
             self._hold(_name(agent), self._persons[agent].edges[0])
         x, y = float(front[0]), float(front[1])
-        keep, match_m = _EXACT + SEEN_ON_ANY_LANE, _MATCH_M if lane else _MATCH_NOTHING_M
+        keep, match_m = _EXACT + SEEN_ON_ANY_LANE, MATCH_M if lane else _MATCH_NOTHING_M
         facing = float(angle) if facing_deg is None else facing_deg
         self._api.person.moveToXY(_name(agent), lane, x, y, facing, keep, match_m)
 

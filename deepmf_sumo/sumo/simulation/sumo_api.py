@@ -32,6 +32,8 @@ STEP_OPTIONS = (
 
 _SEEDS: Final = 2**31
 """SUMO reads seeds below."""
+MATCH_M: Final = 5.0
+"""Largest distance of a moving road user from the lane on which SUMO still takes it."""
 _NO_PORT: Final = ("--remote-port", "0")
 """A configuration may ask for a port, on which SUMO would wait for a client."""
 

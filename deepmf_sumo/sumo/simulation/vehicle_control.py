@@ -19,10 +19,8 @@ from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS, Walk
 from deepmf_sumo.sumo.simulation.person_control import SEEN_ON_ANY_LANE, PersonControl
 from deepmf_sumo.sumo.simulation.road_users import kind_of
-from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, SumoApi
+from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, MATCH_M, SumoApi
 
-MATCH_M: Final = 5.0
-"""Largest distance of a moving vehicle from the lane on which SUMO still takes it."""
 _AT_ONCE_MPS: Final = 1000.0
 _EXACT = 2  # keepRoute: exactly where it is put
 _EXACT_ON_ROUTE = 3  # the same, but SUMO takes it on lanes of its route alone
