@@ -186,7 +186,7 @@ def wait_for_parent(parent: int) -> None:
         started_by.join()
 
 
-def adopt() -> None:
+def become_subreaper() -> None:
     """Become the parent of descendants that lose theirs (Linux)."""
     if _LINUX:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)

@@ -149,7 +149,7 @@ def deadline(budget: Budget) -> float:
 _ONE_ATTACK = 2  # simulations: the unattacked one, and the attack
 
 
-class Spending:
+class BudgetMeter:
     """Counts simulations, and wall time since it was created.
 
     Attributes:

@@ -19,12 +19,12 @@ from pydantic import Field
 
 from deepmf_sumo.attacks._episodes import (
     AgentMotion,
+    BudgetMeter,
     Choose,
     LimitedSettings,
     OpponentChoice,
     Planned,
     Scouted,
-    Spending,
     motion_of,
     nearest_m,
     scout,
@@ -293,9 +293,9 @@ def attack_in_rounds(
 
     The best attack is the one that hits, else the one that comes closest. ``rounds`` is the limit
     if the budget has none; at least one attack is driven, so the minimum is two simulations. The
-    objective is minus the smallest gap in metres. ``generation_s`` is `Spending.generation_s`.
+    objective is minus the smallest gap in metres. ``generation_s`` is `BudgetMeter.generation_s`.
     """
-    spending = Spending(simulate, budget, 1 + rounds)
+    spending = BudgetMeter(simulate, budget, 1 + rounds)
     scouted = scout(case, spending.simulate, choose)
     if scouted is None:
         return Attack(

@@ -30,11 +30,11 @@ from pydantic import Field
 from deepmf_sumo import plugins
 from deepmf_sumo.attacks._episodes import (
     AgentMotion,
+    BudgetMeter,
     LimitedSettings,
     OpponentChoice,
     Planned,
     Scouted,
-    Spending,
     Trajectories,
     gaps_m,
     nearest_m,
@@ -389,11 +389,11 @@ class Search:
         """The attack with the smallest cost within the budget, among those that hit if any does.
 
         ``generation_s`` includes candidates, rollouts and the optimiser, but not loading weights;
-        see `Spending.generation_s`. At least one attack is tried, whatever the budget, unless no
+        see `BudgetMeter.generation_s`. At least one attack is tried, whatever the budget, unless no
         vehicle can attack.
         """
         choose = self._choice.of(case)
-        spending = Spending(simulate, budget, self._settings.simulations)
+        spending = BudgetMeter(simulate, budget, self._settings.simulations)
         scouted = scout(case, spending.simulate, choose)
         if scouted is None:
             rollout, trials = spending.unattacked(), []
@@ -410,7 +410,7 @@ class Search:
         )
 
     def _search(
-        self, case: Case, scouted: Scouted, spending: Spending, rng: np.random.Generator
+        self, case: Case, scouted: Scouted, spending: BudgetMeter, rng: np.random.Generator
     ) -> "_Best":
         settings = self._settings
         bicycle = Bicycle(scouted, settings.bounds)

@@ -24,7 +24,7 @@ from deepmf_sumo.deepmf.reference_paths import OwnPath, aimed_paths
 from deepmf_sumo.deepmf.scoring import Pairs, Scope
 from deepmf_sumo.deepmf.settings import Settings
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.traffic_rules import Law, stops
+from deepmf_sumo.deepmf.traffic_rules import TrafficRules, stops
 from deepmf_sumo.judge.avoidability.av_path import VehicleState
 from deepmf_sumo.judge.avoidability.counterfactual import likeliest
 from deepmf_sumo.judge.avoidability.grading import (
@@ -84,7 +84,7 @@ class Lawful(Constraint):
     scope = "driven"
 
     def __init__(self, settings: Settings) -> None:
-        self._law = Law()
+        self._law = TrafficRules()
 
     def references(self, situation: Situation, paths: list[OwnPath]) -> list[References]:
         return [stops(situation, paths)]

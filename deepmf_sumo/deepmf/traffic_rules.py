@@ -228,7 +228,7 @@ def cuts_in(driven: LaneFutures, collision_step: Floats) -> Bools:
     return np.asarray(cuts.any(axis=(1, 2)) | touches.any(axis=1))
 
 
-def hinders(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bools:
+def violates_priority(view: View, driven: LaneFutures, collides: Bools, halts: bool) -> Bools:
     """Comes too close to the AV ahead in its lane, or brakes ahead of the AV without a cause.
 
     ``collides`` (N): the future touches the AV in one of the reactions; ``halts``: a line makes the
@@ -323,7 +323,7 @@ def _unstopped(situation: Situation, here_m: Floats, way_m: Floats) -> Bools:
 
 
 @dataclass(slots=True)
-class Law:
+class TrafficRules:
     """The traffic rules for one attack, with a memory of the opponent's behaviour in earlier plans.
 
     - Lines at which the opponent was still able to stop: it must stop there until the light turns
@@ -359,7 +359,7 @@ class Law:
             | takes_priority(view, driven)
             | cuts_in(driven, collision_step)
             | self._blocks(view, agent_id, driven)
-            | hinders(view, driven, touches, halts)
+            | violates_priority(view, driven, touches, halts)
         )
 
     def _lines(self, view: View, agent_id: AgentId, driven: LaneFutures) -> tuple[bool, Bools]:

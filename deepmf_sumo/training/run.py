@@ -309,6 +309,6 @@ def _fitted(network: Network, net: nn.Module, dataset: Dataset, device: str) -> 
     if isinstance(net, DiffusionPrior):
         return {"held_out_errors_m": diffscene.held_out_errors(net, dataset)}
     if isinstance(net, PeopleLayers):
-        return {"inputs": people_net.MEANING}
+        return {"inputs": people_net.INPUTS_VERSION}
     assert isinstance(net, OpponentNet)
     return asdict(opponent.calibrate(net, dataset))

@@ -8,7 +8,7 @@ import pytest
 from deepmf_sumo.deepmf.candidates import Candidates
 from deepmf_sumo.deepmf.reference_paths import own_paths
 from deepmf_sumo.deepmf.situation import Situation
-from deepmf_sumo.deepmf.traffic_rules import Law, stops
+from deepmf_sumo.deepmf.traffic_rules import TrafficRules, stops
 from deepmf_sumo.scene import Forecast, Futures, Lane, Neighbour, RoadMap, SignalState, StopSign
 from deepmf_sumo.scene.road_users import MotionLimits
 
@@ -69,7 +69,7 @@ def is_lawful(view, future, av, speed, law=None, collides=None):
         origin=("mode",),
     )
     step = np.array([[collides or 80.0, 80.0]])
-    judged = (law or Law()).lawful(Situation.of(view, "b", LIMITS, alone), own, step)
+    judged = (law or TrafficRules()).lawful(Situation.of(view, "b", LIMITS, alone), own, step)
     assert judged.shape == (1,)
     return bool(judged[0])
 
@@ -100,7 +100,7 @@ def test_who_cannot_stop_gently_at_yellow_may_go_on():
 
 
 def test_who_could_have_stopped_owes_it_until_the_light_lets_go():
-    law = Law()
+    law = TrafficRules()
     assert not is_lawful(at_light(SignalState.CAUTION), drive("b", -40, 0, 12.0), AWAY, 12.0, law)
     late = drive("b", -20, 0, 12.0)
     assert not is_lawful(at_light(SignalState.CAUTION, -20.0), late, AWAY, 12.0, law)
@@ -159,13 +159,13 @@ def test_who_stood_before_a_stop_sign_need_not_stop_again_at_the_next_plan():
         faster = np.minimum(speed + 2.0 * SECONDS, 15.0)
         return is_lawful(view, drive("b", x, 0, faster), AWAY, faster, law)
 
-    law = Law()
+    law = TrafficRules()
     assert not drives_on(law, -30.0, 5.0)
     assert drives_on(law, -12.0, 0.0)
     assert drives_on(law, -11.0, 2.0)
     assert drives_on(law, -8.0, 4.0)
     assert drives_on(law, -2.0, 6.0)  # it is over the line
-    assert not drives_on(Law(), -11.0, 2.0)
+    assert not drives_on(TrafficRules(), -11.0, 2.0)
     assert not drives_on(law, -30.0, 5.0)  # it comes back
 
 
@@ -298,7 +298,7 @@ def test_nobody_stops_in_the_middle_of_a_junction():
 
 
 def test_nobody_halves_its_speed_in_a_junction_with_each_plan():
-    law = Law()
+    law = TrafficRules()
     slower = np.maximum(8.0 - 2.0 * SECONDS, 4.5)
     assert is_lawful(in_junction(-4.9, 8.0), drive("b", -4.9, 0, slower), AWAY, slower, law)
     crawls = np.maximum(4.5 - 2.0 * SECONDS, 2.5)

@@ -13,7 +13,7 @@ from deepmf_sumo.deepmf.candidates import (
     off_road,
 )
 from deepmf_sumo.deepmf.constraints import fair_candidates
-from deepmf_sumo.deepmf.traffic_rules import Law
+from deepmf_sumo.deepmf.traffic_rules import TrafficRules
 from deepmf_sumo.judge.avoidability.intention import intends_since
 from deepmf_sumo.scene import Forecast, Futures, Lane, RoadMap
 from deepmf_sumo.scene.geometry import boxes
@@ -46,7 +46,7 @@ def across(x, begin, speed=1.4, y=-2.0):
 
 def lawful(situation, own):
     steps = np.full((len(own.origin), 1), 80.0)
-    return Law().lawful(situation, own, steps).tolist()
+    return TrafficRules().lawful(situation, own, steps).tolist()
 
 
 def test_a_pedestrian_steps_out_only_where_the_av_can_still_stop():

@@ -97,7 +97,7 @@ NEIGHBOURS: Final = 24
 AGENTS: Final = NEIGHBOURS + 1
 LANES: Final = 48
 PATH_AGENTS: Final = 8
-MEANING: Final = 2
+FEATURES_VERSION: Final = 2
 """Version of the features' meaning: cached features of another version are not used."""
 POSITION_SCALE_M: Final = 30.0
 SPEED_SCALE_MPS: Final = 15.0

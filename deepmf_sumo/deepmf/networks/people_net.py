@@ -29,7 +29,7 @@ from deepmf_sumo.scene.geometry.road import lanes_for_cars, on_road
 from deepmf_sumo.scene.road_users import road_user
 
 FILE: Final = "people"
-MEANING: Final = 1
+INPUTS_VERSION: Final = 1
 """Of the inputs: increased when they change, since networks trained before read them wrongly."""
 _PAST: Final = (-3, -5, -7, -9, -11)
 """Columns of the history whose positions are read."""

@@ -132,8 +132,8 @@ def people_net_of(folder: Path) -> PeopleNet | None:
         content = files_module.content(file, LARGEST_TENSORS)
         if card.get(DIGEST) != digest_of(content):
             why = f" or of another training than its card: its digest is not the card's {DIGEST}"
-        elif card.get("inputs") != people_net.MEANING:
-            why = f": it reads inputs {card.get('inputs')!r:.20}, not {people_net.MEANING}"
+        elif card.get("inputs") != people_net.INPUTS_VERSION:
+            why = f": it reads inputs {card.get('inputs')!r:.20}, not {people_net.INPUTS_VERSION}"
         else:
             return PeopleNet.read(content)
     except FileNotFoundError:

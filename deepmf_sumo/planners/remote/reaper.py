@@ -31,7 +31,7 @@ START: Final = (sys.executable, "-I", "-S", "-c", _CODE)
 
 def main(pipe: int, command: list[str]) -> int:
     """Exit code of the program; 127 if it cannot be started."""
-    system.adopt()
+    system.become_subreaper()
     try:
         program = subprocess.Popen(
             command,

@@ -325,7 +325,7 @@ def _frozen() -> Iterator[None]:
 @contextlib.contextmanager
 def _leaving_none() -> Iterator[None]:
     """While a copy works: a signal that ends this process ends the copy and its descendants."""
-    system.adopt()
+    system.become_subreaper()
     before = signal.signal(signal.SIGTERM, _leave)
     system.end_with_parent(signal.SIGTERM)
     try:

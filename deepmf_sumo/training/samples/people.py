@@ -23,7 +23,7 @@ _KNOTS: Final = list(KNOT_STEPS)
 def features_for() -> Features:
     """The features of this network."""
     columns = (people_net.OWN, people_net.AROUND, people_net.MOTION, people_net.AGENTS)
-    settings = f"{people_net.MEANING} {WINDOW_STEPS} {MOTIONS} {columns}"
+    settings = f"{people_net.INPUTS_VERSION} {WINDOW_STEPS} {MOTIONS} {columns}"
     return Features(kind="people", settings=settings, of=people_samples)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.deepmf.networks.config import Preset
-from deepmf_sumo.deepmf.networks.encode import MEANING, features
+from deepmf_sumo.deepmf.networks.encode import FEATURES_VERSION, features
 from deepmf_sumo.scene import FUTURE_STEPS, ROLLOUT, SIMULATED, Floats, Scene, View
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.training.samples import windows
@@ -29,7 +29,7 @@ SIMULATED_TARGETS: Final = 3
 def features_for(preset: Preset) -> Features:
     """The features of these networks, which depend only on the preset's image sizes."""
     image = {key: value for key, value in preset.record().items() if key.startswith("raster_")}
-    counts = f"{WINDOW_STEPS} {SIMULATED_TARGETS} {MEANING} {windows.LABELS}"
+    counts = f"{WINDOW_STEPS} {SIMULATED_TARGETS} {FEATURES_VERSION} {windows.LABELS}"
     return Features(
         kind="trajectory",
         settings=f"{json.dumps(image, sort_keys=True)} {counts}",

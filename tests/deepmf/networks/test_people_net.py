@@ -136,7 +136,7 @@ def test_what_is_learned_begins_here_and_keeps_to_the_speeds_of_the_class(seed):
 
 @pytest.fixture
 def folder(tmp_path):
-    cards.write(tmp_path, "people", net(), {"inputs": people_net.MEANING})
+    cards.write(tmp_path, "people", net(), {"inputs": people_net.INPUTS_VERSION})
     return tmp_path
 
 
