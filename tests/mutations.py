@@ -76,9 +76,9 @@ MUTATIONS = (
         "deepmf/test_no_rear_end.py",
     ),
     Mutation(
-        "the lighter one changes the other's speed more", "deepmf/candidates.py",
-        "relative * area / (area + av_area)", "relative * av_area / (area + av_area)",
-        "deepmf/test_steering.py deepmf/test_candidates.py",
+        "the lighter one changes the other's speed more", "scene/geometry/impact.py",
+        "relative_mps * other_m2", "relative_mps * area_m2",
+        "deepmf/test_steering.py sumo/simulation/test_contacts.py",
     ),
     Mutation(
         "no limit to braking", "deepmf/tracking.py",

@@ -6,6 +6,7 @@ from collections import Counter
 import pytest
 
 from tests import house
+from tests.mutations import MUTATIONS
 
 ROOMS = sorted(one.parent for one in house.PACKAGE.glob("*/__init__.py"))
 
@@ -40,3 +41,9 @@ def test_deepmf_has_few_settings_and_one_mapping_of_what_studies_vary():
     assert len(keys) <= 14
     assert [name for name, below in keys.items() if below] == ["form"]
     assert keys["form"] <= 9
+
+
+def test_what_planted_defects_change_is_there_once():
+    """Else `tests.mutations` stops at the first one that has moved, when somebody runs it."""
+    found = {one.name: (house.PACKAGE / one.file).read_text().count(one.old) for one in MUTATIONS}
+    assert {name: count for name, count in found.items() if count != 1} == {}

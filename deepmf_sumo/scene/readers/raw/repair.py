@@ -37,9 +37,9 @@ MOST_FEATURES: Final = 50_000
 MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_SENTENCE: Final = 2000
-_HIGH_M: Final = 1.0
-"""Road that is nearer to 0 than this, or flatter, goes with tracks at 0."""
 """Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
+_HIGH_M: Final = 1.0
+"""Tracks at 0 stay there where the road is nearer to 0 than this, or flatter."""
 
 Feature = Lane | Polyline | Polygon | StopSign
 F = TypeVar("F", Polyline, Polygon, StopSign)
