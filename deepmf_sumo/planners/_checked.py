@@ -4,7 +4,7 @@ import math
 import mmap
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableSequence
 from contextlib import contextmanager
 from typing import Final
 
@@ -18,11 +18,14 @@ from deepmf_sumo.scene.geometry.frames import TURNED_RAD
 
 _OVERSHOOT_MPS: Final = 1.0
 """A planner that brakes to a stop by full steps ends up to this far below 0, which counts as 0."""
-_inside = mmap.mmap(-1, 1)
+Flag = MutableSequence[int] | mmap.mmap
+"""Of one element."""
+
+_inside: Flag = mmap.mmap(-1, 1)
 """Whether a planner's code is running; copies of this process share the flag."""
 
 
-def share(flag: mmap.mmap) -> None:
+def share(flag: Flag) -> None:
     """Keep the flag where another process sees it, which has no copy of this one's memory."""
     global _inside  # noqa: PLW0603
     _inside = flag
@@ -32,6 +35,11 @@ def at_work() -> bool:
     """Whether a copy of this process died in a planner's code; resets the flag."""
     found, _inside[0] = bool(_inside[0]), 0
     return found
+
+
+def ended(how: str) -> PlannerError:
+    """The error where code of the planner ended its process; ``how`` as `system.ending`."""
+    return PlannerError(f"the planner ended its process ({how}; see log.txt).", kind="crashed")
 
 
 class Guard:

@@ -6,6 +6,7 @@ folder, module path, standard output and task of the process that asks for it, a
 test has patched. Tests of the workers themselves ask for the fixture `spawned_workers`.
 """
 
+import mmap
 import multiprocessing
 import os
 import signal
@@ -21,6 +22,7 @@ from typing import Any
 
 import pytest
 
+from deepmf_sumo.planners import _checked
 from deepmf_sumo.study.sweep import workers
 
 from tests.support import started_programs
@@ -43,6 +45,7 @@ class _Surroundings:
 
 
 def _take_over(environment: dict[str, str], *streams: Any) -> None:
+    _checked.share(mmap.mmap(-1, 1))  # else of all copies of the process that has it already
     os.environ.clear()
     os.environ.update(environment)
     for number, stream in enumerate(streams, start=1):
@@ -62,8 +65,10 @@ class _Process(ForkServerProcess):
         super().start()
 
 
-def _begin(_: None, serve: Any, theirs: Connection, work: Any, parent: int) -> None:
-    serve(theirs, work, os.getppid())  # of the process that it is a copy of
+def _begin(
+    _: None, serve: Any, theirs: Connection, work: Any, parent: int, in_planner: Any
+) -> None:
+    serve(theirs, work, os.getppid(), in_planner)  # of the process that it is a copy of
 
 
 def program(text: str, arguments: Sequence[str], folder: Path) -> str:
@@ -150,5 +155,6 @@ def _command(_: None, arguments: list[str]) -> None:
 def use(patch: pytest.MonkeyPatch) -> None:
     """Let workers be copies from now on."""
     forkserver.set_forkserver_preload(LOADED)
-    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_Process)
+    array = multiprocessing.get_context("forkserver").RawArray
+    context = SimpleNamespace(Pipe=multiprocessing.Pipe, RawArray=array, Process=_Process)
     patch.setattr(workers, "multiprocessing", SimpleNamespace(get_context=lambda _: context))

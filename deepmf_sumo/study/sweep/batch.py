@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from deepmf_sumo import errors
 from deepmf_sumo import spec as spec_module
@@ -458,7 +458,8 @@ def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Prog
         return replace(before, lost=before.lost + 1, last=None)
     if ending.status != "done" and not _unheard(store, [task]):
         status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
-        reason = result_module.unfinished(task, status, ending.reason, ending.seconds)
+        fault: Literal["crashed", ""] = "crashed" if ending.by_planner else ""
+        reason = result_module.unfinished(task, status, ending.reason, ending.seconds, fault)
         episode.finish(store.runs, task, reason)
     return replace(before, done=before.done + 1, last=store.read_run(task.run_id))
 

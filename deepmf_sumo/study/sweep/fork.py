@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import IO, Any, NoReturn, TypeVar
 
 from deepmf_sumo import system
-from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.errors import DeepmfError
 from deepmf_sumo.planners import _checked
 from deepmf_sumo.scene import Case, RecordedCase, TrafficCase, VehicleModel
 from deepmf_sumo.spec import FromNetwork
@@ -302,8 +302,7 @@ def _as_copy(work: Callable[[], T]) -> T:
 def _told(ended: spawn.ProcessEnd, shared: object) -> Any:
     """What a process returned; raises what it raised, dies as it died."""
     if not ended.answer and ended.blamed:
-        reason = f"the planner ended its process ({system.ending(ended.code)}; see log.txt)."
-        raise PlannerError(reason, kind="crashed")
+        raise _checked.ended(system.ending(ended.code))
     if not ended.answer:
         system.end_as(ended.code)
     found = spawn.unpacked(ended.answer, shared)

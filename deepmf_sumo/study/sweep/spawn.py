@@ -7,7 +7,6 @@ their own, too (`study`).
 """
 
 import io
-import mmap
 import multiprocessing
 import os
 import pickle
@@ -25,7 +24,7 @@ from deepmf_sumo.errors import RunError
 from deepmf_sumo.planners import _checked
 from deepmf_sumo.study.sweep.streams import logged
 
-_WORK, _ANSWER, _LOG, _FLAG = "work", "answer", "log", "planner-at-work"
+_WORK, _ANSWER, _LOG = "work", "answer", "log"
 WATCHER: Final = "watches the parent"
 """A thread of every worker, which sleeps and holds no lock."""
 
@@ -45,7 +44,6 @@ def run(work: Callable[[], object], shared: object = None) -> ProcessEnd:
     """
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as name:
         folder = Path(name)
-        (folder / _FLAG).write_bytes(b"\0")
         try:
             (folder / _WORK).write_bytes(pickle.dumps((work, shared), pickle.HIGHEST_PROTOCOL))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -54,14 +52,15 @@ def run(work: Callable[[], object], shared: object = None) -> ProcessEnd:
                 f" one: {error}. Let adversary and policy be made of objects that pickle takes."
             ) from None
         context = multiprocessing.get_context("spawn")
-        process = context.Process(target=_life, args=(folder, Path.cwd(), os.getpid()))
+        in_planner = context.RawArray("b", 1)
+        process = context.Process(target=_life, args=(folder, Path.cwd(), os.getpid(), in_planner))
         process.start()
         process.join()
         _print(folder / _LOG)
         return ProcessEnd(
             answer=(folder / _ANSWER).read_bytes() if (folder / _ANSWER).is_file() else b"",
             code=process.exitcode or 0,
-            blamed=(folder / _FLAG).read_bytes() != b"\0",
+            blamed=bool(in_planner[0]),
         )
 
 
@@ -71,7 +70,7 @@ def _print(log: Path) -> None:
         os.write(1, log.read_bytes())
 
 
-def _life(folder: Path, here: Path, parent: int) -> None:
+def _life(folder: Path, here: Path, parent: int, in_planner: _checked.Flag) -> None:
     """Main function of the new process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     threading.Thread(
@@ -79,8 +78,8 @@ def _life(folder: Path, here: Path, parent: int) -> None:
     ).start()
     os.chdir(here)
     code, said = 1, b""
-    with (folder / _FLAG).open("r+b") as flag, logged(folder / _LOG):
-        _checked.share(mmap.mmap(flag.fileno(), 1))
+    _checked.share(in_planner)
+    with logged(folder / _LOG):
         work, shared = pickle.loads((folder / _WORK).read_bytes())  # noqa: S301 - our own parent's
         try:
             found = work()

@@ -8,9 +8,11 @@ do: torch reserves gigabytes that it never touches.
 """
 
 import contextlib
+import faulthandler
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -24,6 +26,7 @@ from typing import Any, Final, Literal, Protocol, TypeVar
 
 from deepmf_sumo import system
 from deepmf_sumo.errors import RunError
+from deepmf_sumo.planners import _checked
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.sweep.spawn import WATCHER
 
@@ -48,6 +51,9 @@ _LAST_WORDS_S: Final = 5.0
 _LEAVE_S: Final = 2.0
 """Time for a worker to end by itself, before it is killed."""
 
+_FROM_OUTSIDE: Final = (-signal.SIGTERM, -9)
+"""Ends of a process that others cause, e.g. a system without memory (SIGKILL)."""
+
 Status = Literal["done", "raised", "crashed", "timeout", "memory", "lost"]
 T = TypeVar("T")
 
@@ -56,13 +62,15 @@ T = TypeVar("T")
 class Finished:
     """How a task ended; all but ``done`` with a reason.
 
-    ``lost`` is not an end: its machine is gone, and another one repeats the task.
+    ``lost`` is not an end: its machine is gone, and another one repeats the task. ``by_planner``:
+    the worker died in code of the planner.
     """
 
     index: int
     status: Status
     reason: str = ""
     seconds: float = 0.0
+    by_planner: bool = False
 
 
 def run(
@@ -130,6 +138,7 @@ class Worker:
         alive: it has not been ended, nor found dead.
         index: of its task, None without one. given: number of tasks so far.
         began, deadline: of its task, on the monotonic clock.
+        in_planner: whether code of the planner runs; shared with the process.
     """
 
     work: Callable[[Any], None]
@@ -145,9 +154,10 @@ class Worker:
     def __post_init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
+        self.in_planner = context.RawArray("b", 1)
         self.process: BaseProcess = context.Process(
             target=_serve,
-            args=(theirs, self.work, os.getpid()),
+            args=(theirs, self.work, os.getpid(), self.in_planner),
             daemon=system.COPIES,  # what is one cannot start processes, see `spawn`
         )
         resource_tracker.ensure_running()  # starting it would let interrupts through
@@ -238,17 +248,28 @@ class Worker:
         name = system.ending(code)
         if self.index is None and not self.ready:
             raise RunError(f"A worker process died while it started ({name}); see its message.")
-        return None if self.index is None else self._finish("crashed", f"the worker died: {name}")
+        if self.index is None:
+            return None
+        if self.in_planner[0] and code not in _FROM_OUTSIDE:
+            return self._finish("crashed", str(_checked.ended(name)), by_planner=True)
+        return self._finish("crashed", f"the worker died: {name}")
 
-    def _finish(self, status: Status, why: str) -> Finished:
+    def _finish(self, status: Status, why: str, *, by_planner: bool = False) -> Finished:
         assert self.index is not None
         index, self.index, self.deadline = self.index, None, float("inf")
         seconds = time.monotonic() - self.began
-        return Finished(index=index, status=status, reason=why, seconds=seconds)
+        return Finished(
+            index=index, status=status, reason=why, seconds=seconds, by_planner=by_planner
+        )
 
 
-def _serve(connection: Connection, work: Callable[[Any], None], parent: int) -> None:
+def _serve(
+    connection: Connection, work: Callable[[Any], None], parent: int, in_planner: _checked.Flag
+) -> None:
     """A worker's life. ``work`` has been imported by now, and its libraries with it."""
+    _checked.share(in_planner)
+    if sys.stderr is not None:
+        faulthandler.enable()  # a run's log shows where it died
     system.own_group()
     signal.signal(
         signal.SIGINT, signal.SIG_IGN

@@ -84,6 +84,25 @@ def test_bad_runs_are_rows_and_cost_nobody_else(tiny, tmp_path, monkeypatch):
     assert seen[-1].done == seen[-1].of == 6
 
 
+def test_a_planner_with_threads_that_crashes_is_blamed(tiny, tmp_path, monkeypatch):
+    """It drives in the worker itself, which no copy can be made of."""
+    monkeypatch.syspath_prepend(str(tiny))
+    thread = "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()"
+    planners = (tiny / "bad_planners.py").read_text()
+    (tiny / "threaded_planners.py").write_text(f"import threading\n{planners}\n{thread}\n")
+    path = tiny_network.spec(tiny, "crash", planner="{name: 'threaded_planners:Crash'}")
+    [result] = batch.run([spec.load(path)], batch.Options(out=tmp_path / "out"), lambda _: None)
+    assert (result["status"], result["error"], result["planner_fault"]) == (
+        "failed",
+        ENDED,
+        "crashed",
+    )
+    log = (tmp_path / "out" / "runs" / "crash--tiny--0" / "log.txt").read_text()
+    assert "Fatal Python error" in log
+    assert "bad_planners.py" not in log
+    assert "threaded_planners.py" in log  # where it was
+
+
 def test_interrupt_keeps_what_is_finished_and_resumes(tiny, tmp_path):
     specs = [spec.load(tiny_network.spec(tiny, f"run {number}")) for number in range(3)]
     options = batch.Options(out=tmp_path / "out", resume=True)

@@ -97,7 +97,8 @@ def test_a_worker_whose_parent_hangs_up_in_the_middle_of_a_word_ends_quietly():
     """A connection that is closed with something unread is reset."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    worker = context.Process(target=workers._serve, args=(theirs, do, os.getpid()))
+    flag = context.RawArray("b", 1)
+    worker = context.Process(target=workers._serve, args=(theirs, do, os.getpid(), flag))
     worker.start()
     theirs.close()
     assert ours.poll(60)
