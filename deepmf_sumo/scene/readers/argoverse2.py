@@ -37,12 +37,12 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.readers.base import RecordRef
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks
+from deepmf_sumo.scene.readers.raw.ground import ground_m
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
 from deepmf_sumo.scene.readers.raw.one_file import MALFORMED, head
 from deepmf_sumo.scene.readers.raw.road import (
     RoadBuilder,
     SignalsBuilder,
-    ground_m,
     identifier,
 )
 from deepmf_sumo.scene.road_users import ROAD_USERS
@@ -252,7 +252,8 @@ def _tracks(
         velocity[(*at, axis)] = rows[f"velocity_{name}"][used]
     heading[at], valid[at] = rows["heading"][used], True
     kinds, size = _classes(rows, ids, repairs)
-    position[at[0], at[1], 2] = ground_m(road, position[at][:, :2]) + size[at[0], 2] / 2
+    ground = ground_m(road, position[..., :2], heading, valid)
+    position[..., 2] = np.where(valid, ground + size[:, 2:] / 2, 0.0)
     return RawTracks(
         ids=ids,
         kinds=kinds,

@@ -254,20 +254,21 @@ def test_heights_are_as_recorded(read, tmp_path):
 
 
 @pytest.mark.parametrize("read", FORMATS)
-def test_heights_that_are_missing_are_0(read, tmp_path):
+def test_heights_that_are_missing_are_those_of_the_nearest_step(read, tmp_path):
     message = by_hand.scenario()
     for state in message.tracks[0].states[:20]:
         state.center_z = np.nan
+    message.tracks[0].states[20].center_z = 2.0
     for point in message.map_features[1].lane.polyline:
         point.z = np.nan
     scene = read(message, tmp_path)
     assert valid(scene, "7").all()
     ground = 1.0 - scene.tracks.size_m[0, 2] / 2
-    assert scene.tracks.z_m[0].tolist() == [0.0] * 20 + [ground] * 71
-    assert not scene.road.lanes["101"].z_m.any()
+    assert scene.tracks.z_m[0].tolist() == [ground + 1.0] * 21 + [ground] * 70
+    assert set(scene.road.lanes["101"].z_m) == {0.5}, "of the lane beside it"
     assert set(scene.repairs) == {
-        "20 states without a height were taken to be at 0.",
-        "1 lanes without heights were taken to be at 0: 101.",
+        "20 states without a height have that of the nearest step, or 0 where the track has none.",
+        "1 lanes without heights have those of the nearest lanes: 101.",
     }
 
 
@@ -290,7 +291,7 @@ def test_tracks_without_heights_stand_on_a_road_that_climbs(read, tmp_path):
         seen = scene.tracks.valid[row]
         x = scene.tracks.position_m[row, seen, 0]
         assert scene.tracks.z_m[row, seen] == pytest.approx(20 + 0.1 * x, abs=0.6)
-    assert "The tracks have no heights; those of the nearest lanes were used." in scene.repairs
+    assert "The tracks have no heights; those of the lanes below were used." in scene.repairs
 
 
 @pytest.mark.parametrize("read", FORMATS)

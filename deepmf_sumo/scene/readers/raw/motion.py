@@ -119,13 +119,26 @@ def _refuse_drift(recorded: Floats, off_s: Floats) -> None:
             )
 
 
-def flatten_unknown_heights(raw: RawTracks, repairs: list[str]) -> None:
-    """Set heights to 0, in place, that are not finite at states whose place is."""
-    placed = np.isfinite(raw.position_m[..., :2]).all(-1)
-    unknown = raw.valid & placed & ~np.isfinite(raw.position_m[..., 2])
+def fill_unknown_heights(raw: RawTracks, repairs: list[str]) -> None:
+    """Replace heights, in place, that are not finite at states whose place is.
+
+    By that of the nearest step with a height; by 0 where the track has none.
+    """
+    placed = raw.valid & np.isfinite(raw.position_m[..., :2]).all(-1)
+    known = placed & np.isfinite(raw.position_m[..., 2])
+    unknown = placed & ~known
+    for row in np.flatnonzero(unknown.any(axis=1)):
+        steps, to_fill = np.flatnonzero(known[row]), np.flatnonzero(unknown[row])
+        height = 0.0
+        if len(steps):
+            nearest = np.abs(to_fill[:, None] - steps).argmin(axis=1)
+            height = raw.position_m[row, steps[nearest], 2]
+        raw.position_m[row, to_fill, 2] = height
     if unknown.any():
-        raw.position_m[..., 2] = np.where(unknown, 0.0, raw.position_m[..., 2])
-        repairs.append(f"{int(unknown.sum())} states without a height were taken to be at 0.")
+        repairs.append(
+            f"{int(unknown.sum())} states without a height have that of the nearest step, or 0"
+            " where the track has none."
+        )
 
 
 def drop_impossible_states(raw: RawTracks, repairs: list[str]) -> None:

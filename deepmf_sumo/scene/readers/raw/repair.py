@@ -26,8 +26,9 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks, motion
+from deepmf_sumo.scene.readers.raw.ground import ground_m, lanes_with_heights
 from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
-from deepmf_sumo.scene.readers.raw.road import ground_m, quoted
+from deepmf_sumo.scene.readers.raw.road import quoted
 from deepmf_sumo.scene.road_users import usual_size_m
 from deepmf_sumo.texts import LONGEST_ID, is_plain, shown
 
@@ -79,7 +80,7 @@ def _repaired(recording: RawScene) -> Scene:
     steps = raw.valid.shape[1]
     av_id = _named_av(recording)
     timestamps = motion.timestamps(recording.timestamps_s, steps, repairs)
-    motion.flatten_unknown_heights(raw, repairs)
+    motion.fill_unknown_heights(raw, repairs)
     motion.drop_impossible_states(raw, repairs)
     _refuse_av(av_id, raw.valid[raw.ids.index(av_id)], now, repairs)
     motion.refuse_other_rate(raw, timestamps)
@@ -262,20 +263,22 @@ def _finished(raw: RawTracks, now: int, av_id: str, repairs: list[str]) -> Track
 
 
 def _on_the_road(tracks: Tracks, road: RoadMap, repairs: list[str]) -> Tracks:
-    """Tracks without heights stand on the nearest lanes, if these climb and are not at 0.
+    """Tracks without heights stand on the lanes; if none has one, only where lanes climb.
 
     Else vehicles that climb and descend a hill from 0 on, each with the lanes below it, would come
-    to pass over each other.
+    to pass over each other. No height is 0, and a road near 0 leaves it.
     """
-    if tracks.z_m.any():
+    bare = tracks.valid & (tracks.z_m == 0.0).all(axis=1, keepdims=True)
+    if not bare.any():
         return tracks
-    ground = np.zeros_like(tracks.z_m)
-    ground[tracks.valid] = ground_m(road, tracks.position_m[tracks.valid])
-    seen = ground[tracks.valid]
-    if np.median(np.abs(seen)) < _HIGH_M or np.ptp(seen) < _HIGH_M:
+    ground = ground_m(road, tracks.position_m, tracks.heading_rad, bare)
+    flat = np.ptp(ground[bare]) < _HIGH_M and not tracks.z_m.any()
+    if np.median(np.abs(ground[bare])) < _HIGH_M or flat:
         return tracks
-    repairs.append("The tracks have no heights; those of the nearest lanes were used.")
-    return replace(tracks, z_m=ground)
+    some = f"{int(bare.any(axis=1).sum())} tracks have"
+    who = some if tracks.z_m.any() else "The tracks have"
+    repairs.append(f"{who} no heights; those of the lanes below were used.")
+    return replace(tracks, z_m=np.where(bare, ground, tracks.z_m))
 
 
 def _ground_m(middle_m: Floats, height_m: Floats, valid: Bools) -> Floats:
@@ -337,18 +340,15 @@ def _refuse_road(road: RoadMap) -> None:
 
 
 def with_heights(road: RoadMap, repairs: list[str]) -> RoadMap:
-    """The road with height 0 where a lane's is not finite."""
+    """The road with heights everywhere, see `ground.lanes_with_heights`."""
     unknown = [lane.id for lane in road.lanes.values() if not np.isfinite(lane.z_m).all()]
     if not unknown:
         return road
-    repairs.append(
-        f"{len(unknown)} lanes without heights were taken to be at 0: {quoted(unknown)}."
-    )
-    flat = {
-        name: replace(road.lanes[name], z_m=np.where(np.isfinite(z_m), z_m, 0.0))
-        for name, z_m in ((one, road.lanes[one].z_m) for one in unknown)
-    }
-    return replace(road, lanes=road.lanes | flat)
+    filled = lanes_with_heights(road, unknown)
+    low = not any(lane.z_m.any() for lane in filled.values())
+    said = "were taken to be at 0" if low else "have those of the nearest lanes"
+    repairs.append(f"{len(unknown)} lanes without heights {said}: {quoted(unknown)}.")
+    return replace(road, lanes=road.lanes | filled)
 
 
 def _repaired_road(road: RoadMap, repairs: list[str]) -> RoadMap:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-import shapely
 
 from deepmf_sumo.scene import (
     Boundary,
@@ -150,17 +149,3 @@ def agent_at(ids: Sequence[str], index: Any, key: str) -> str:
 def quoted(names: Sequence[str]) -> str:
     """The first five names in a sentence."""
     return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
-
-
-def ground_m(road: RoadMap, xy: Floats) -> Floats:
-    """(N) heights of the road at points (N, 2): those of the nearest point of a lane."""
-    lanes = list(road.lanes.values())
-    points = np.concatenate([np.zeros((0, 2)), *(lane.centre_m for lane in lanes)])
-    z = np.concatenate([np.zeros(0), *(lane.z_m for lane in lanes)])
-    finite = np.isfinite(points).all(-1) & np.isfinite(z)
-    known = np.isfinite(xy).all(-1)
-    ground = np.zeros(len(xy))
-    if finite.any() and known.any():
-        tree = shapely.STRtree(shapely.points(points[finite]))
-        ground[known] = z[finite][tree.nearest(shapely.points(xy[known]))]
-    return ground
