@@ -31,6 +31,9 @@ __all__ = [
     "prepare",
 ]
 
+MARK: Final = "deepmf_sumo "
+"""How names of our points of interest begin, in SUMO and in results of subscriptions."""
+
 _PLACES: Final = {"SumoServer": "server", "StatusServer": "status"}
 
 

@@ -4,7 +4,7 @@ import functools
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -146,6 +146,15 @@ def spec_of(wish: AttackRequest) -> Spec:
 
 def policy_of(spec: Spec) -> Policy:
     """The policy that drives the opponents. Raises UsageError and WeightsError."""
+    from deepmf_sumo.deepmf.networks import weights
+    from deepmf_sumo.deepmf.networks.weights import one_thread
+
+    predictors = weights.cached_predictors(spec.weights)
+    return OneThread(build(_settings(spec), predictors), one_thread)
+
+
+def _settings(spec: Spec) -> Settings:
+    """Of the opponents' policy. Raises UsageError for what no running simulation allows."""
     settings = Settings.model_validate(spec.adversary.settings)
     if settings.opponent == "labelled":
         raise UsageError("adversary.opponent 'labelled': only recordings label an opponent.")
@@ -159,10 +168,7 @@ def policy_of(spec: Spec) -> Policy:
             "adversary.supporting 1: in a simulation of another program only attackers are driven;"
             " leave it at 0."
         )
-    from deepmf_sumo.deepmf.networks import weights
-    from deepmf_sumo.deepmf.networks.weights import one_thread
-
-    return OneThread(build(settings, weights.cached_predictors(spec.weights)), one_thread)
+    return settings
 
 
 def sessions(
@@ -395,12 +401,20 @@ class Attached:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """All that a session needs except SUMO: the wish, and what it was made into."""
+    """All that a session needs except SUMO: the wish, and what it was made into.
+
+    Attributes:
+        policies: one for each AV; empty until `load`.
+    """
 
     wish: AttackRequest
     spec: Spec
-    policies: tuple[Policy, ...]
     record: SessionRecord
+    policies: list[Policy] = field(default_factory=list)
+
+    def load(self) -> None:
+        """Load the predictors, which takes seconds. Raises WeightsError."""
+        self.policies[:] = [policy_of(self.spec) for _ in self.wish.avs]
 
     def close(self) -> None:
         """Give the folder free, after the last `attach`."""
@@ -415,14 +429,18 @@ def prepare(wish: AttackRequest, out: Path, *, overwrite: bool = False) -> Prepa
         out: folder for the attacks.
         overwrite: delete the results of an earlier command in it, when the session begins.
 
-    Raises SpecError and UsageError for a wrong command, WeightsError for weights, OutputError for a
-    folder that cannot be used.
+    Raises SpecError and UsageError for a wrong command, WeightsError for weights that are not there
+    (what else is wrong with them shows in `Prepared.load`), OutputError for a folder that cannot be
+    used.
     """
+    from deepmf_sumo.deepmf.networks import weights
+
     triggers_of(wish)
     spec = spec_of(wish)
-    policies = tuple(policy_of(spec) for _ in wish.avs)
+    _settings(spec)
+    weights.find(spec.weights)
     record = SessionRecord(out, wish.avs, spec, overwrite=overwrite)
-    return Prepared(wish=wish, spec=spec, policies=policies, record=record)
+    return Prepared(wish=wish, spec=spec, record=record)
 
 
 def attach(

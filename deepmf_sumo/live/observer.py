@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepmf_sumo.live import MARK
 from deepmf_sumo.live.connection import LiveApi
 from deepmf_sumo.scene import AgentId, Driver, agent_ids
 from deepmf_sumo.scene.geometry import frames
@@ -29,8 +30,6 @@ _VARIABLES: Final = {
     _VEHICLES: [POSITION, ANGLE, SPEED],
     _PERSONS: [POSITION, ANGLE, SPEED, RIDES_IN],
 }
-MARK: Final = "deepmf_sumo "
-"""How names of our points of interest begin, in SUMO and in results of subscriptions."""
 _INVISIBLE: Final = (0, 0, 0, 0)
 _SLACK_M: Final = 10.0
 """Distance of the AV from the point at which the point follows."""

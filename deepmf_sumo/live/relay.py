@@ -29,8 +29,8 @@ from typing import Final, Literal
 
 from deepmf_sumo import system
 from deepmf_sumo.errors import DeepmfError
+from deepmf_sumo.live import MARK
 from deepmf_sumo.live.kept_files import SET_GUI, SET_SIMULATION, KeptFiles, RefusedError, framed
-from deepmf_sumo.live.observer import MARK
 from deepmf_sumo.sumo.simulation.sumo_outputs import confined
 
 LOAD, STEP, ORDER, CLOSE, HALF_STEP = 0x01, 0x02, 0x03, 0x7F, 0x7D

@@ -24,6 +24,7 @@ import sumo
 import traci
 from traci import constants
 
+import deepmf_sumo
 from deepmf_sumo.cli import _leaving, main
 from deepmf_sumo.errors import exit_code
 from deepmf_sumo.live.relay import CLOSE, GET_SIMULATION, LARGEST, LOAD, ORDER, STEP, _Filter
@@ -324,6 +325,24 @@ def test_a_script_that_starts_sumo_itself_can_start_serve(tiny, tmp_path, option
         list(map(str, command)), capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, "2.0" in done.stdout.split("\n")) == (0, True), done.stderr
+
+
+def test_a_client_connects_while_predictors_are_loaded_and_is_left_where_they_are_broken(
+    served, tmp_path
+):
+    """Loading takes seconds, SUMO and the port do not wait for it."""
+    weights = tmp_path / "weights"
+    shutil.copytree(Path(deepmf_sumo.__file__).parent / "weights" / "open", weights)
+    (weights / "conditional.safetensors").write_bytes(b"nothing")
+    process, port = served("av", "--set", f"weights={weights}")
+    with suppress(ConnectionError), socket.create_connection(("localhost", port)) as client:
+        client.settimeout(60.0)
+        assert not client.recv(1)  # it is closed
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == exit_code("wrong")
+    assert "conditional.safetensors" in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "live").exists()
 
 
 def command(number, content=b""):
