@@ -24,7 +24,7 @@ from deepmf_sumo.errors import RunError
 from deepmf_sumo.exporters import fcd
 from deepmf_sumo.judge.metrics import Episode, measure, measured
 from deepmf_sumo.live.session import LiveAttack, Switch, TimeJump
-from deepmf_sumo.results import artifacts, folder, result, sessions, signals, turns
+from deepmf_sumo.results import artifacts, folder, result, sessions, signals, stored, turns
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.results.result import Result
 from deepmf_sumo.results.tracks import FILE as TRACKS
@@ -92,7 +92,7 @@ class SessionResults:
             scene = f"{self._simulations}-{scene}"
         task = Task(run_id=run_id, spec=self._spec, scene=scene)
         found = self._measured(task, attack, folder)
-        files.write_json(folder / "result.json", found)
+        files.write_json(folder / stored.RESULT, found)
         self._keys[run_id] = task.key
         self._found.append(found)
         self._write()

@@ -82,7 +82,7 @@ def chosen(folders: Sequence[Path]) -> list[Chosen]:
     found: list[Chosen] = []
     several = len(folders) > 1
     for folder in folders:
-        if (folder / "result.json").is_file():
+        if (folder / stored.RESULT).is_file():
             run = run_in(folder)
             name = Path(folder.resolve().name)
             found.append(Chosen(run_id=run.run_id, run=run, folder=folder, mirrored=name))
@@ -97,7 +97,7 @@ def chosen(folders: Sequence[Path]) -> list[Chosen]:
 
 def run_in(folder: Path) -> Run:
     """The run of a run's folder. Raises UsageError where its ``result.json`` is damaged."""
-    found = stored.result_of(folder / "result.json")
+    found = stored.result_of(folder / stored.RESULT)
     return replace(Run.of_row(folder.parent, result.row(found)), folder=folder)
 
 

@@ -150,7 +150,7 @@ class Store:
 
     def read_run(self, run_id: str) -> Result:
         """The result of a run that is there. Raises UsageError where it cannot be read."""
-        file = stored.run_folder(self.out, run_id, stored.RUNS) / "result.json"
+        file = stored.run_folder(self.out, run_id, stored.RUNS) / stored.RESULT
         return stored.result_of(file, whole=True)
 
     def manifest(
@@ -203,7 +203,7 @@ class Store:
         by_turn = turns.table(results)
         if by_turn is not None:
             files.write(self.out / turns.TABLE, by_turn)
-        files.write_json(self.out / "summary.json", summary(results, interrupted=interrupted))
+        files.write_json(self.out / stored.SUMMARY, summary(results, interrupted=interrupted))
         if junit_too:
             junit.write(self.out / junit.FILE, results)
 

@@ -25,7 +25,7 @@ def read(out: Path) -> Results:
     known = stored.planned_of(out)
     found: dict[str, Run | None] = {}
     for run_id, key in stored.keys_of(out).items():
-        file = stored.run_folder(out, run_id, stored.MANIFEST) / "result.json"
+        file = stored.run_folder(out, run_id, stored.MANIFEST) / stored.RESULT
         result = stored.result_of(file) if file.is_file() else None
         if result is not None and result["key"] != key:
             result = None

@@ -101,7 +101,7 @@ class Run:
     def has_result(self) -> bool:
         """Whether there is a ``result.json``, readable or not."""
         return "result" in vars(self) or (
-            self.status != MISSING and (self.folder / "result.json").is_file()
+            self.status != MISSING and (self.folder / stored.RESULT).is_file()
         )
 
     @cached_property
@@ -110,7 +110,7 @@ class Run:
 
         Raises UsageError where it cannot be read, or is damaged.
         """
-        return without_trials(stored.result_of(self.folder / "result.json"))
+        return without_trials(stored.result_of(self.folder / stored.RESULT))
 
     @property
     def recorded(self) -> bool:
@@ -231,12 +231,12 @@ class Run:
     @property
     def spec_text(self) -> str:
         """``spec.yaml``, which repeats the run; empty where there is none, as of live attacks."""
-        return _text(self.folder / "spec.yaml")
+        return _text(self.folder / stored.SPEC)
 
     @property
     def log_text(self) -> str:
         """What the run printed; empty where it left no log."""
-        return _text(self.folder / "log.txt")
+        return _text(self.folder / stored.LOG)
 
     @property
     def opens_in_sumo(self) -> bool:
@@ -249,7 +249,7 @@ class Run:
 
         Raises UsageError where the spec is damaged.
         """
-        file = self.folder / "spec.yaml"
+        file = self.folder / stored.SPEC
         if not file.is_file():
             return {}
         source = document.read(file).values.get("source")
@@ -263,7 +263,7 @@ class Run:
 
         Raises UsageError where the spec is damaged.
         """
-        file = self.folder / "spec.yaml"
+        file = self.folder / stored.SPEC
         return str(document.read(file).values.get("av_sees", "all")) if file.is_file() else ""
 
     def recording(self) -> Scene | None:
@@ -328,7 +328,7 @@ class Run:
         if self.status != "ok" or not self.has_result:
             return False
         try:
-            found, file = self.result, self.folder / "spec.yaml"
+            found, file = self.result, self.folder / stored.SPEC
             if not found["opponent"] or found["counterfactual"] is not None:
                 return False
             traffic = document.read(file).values.get("traffic") if file.is_file() else None

@@ -43,8 +43,13 @@ DAMAGE: Final = (
 FORMAT_VERSION: Final = 1
 RUNS: Final = "runs.csv"
 MANIFEST: Final = "manifest.json"
+SUMMARY: Final = "summary.json"
 MOMENTS: Final = "moments.csv"
 FLOW: Final = "flow.csv"
+RESULT: Final = "result.json"
+"""Of the folder of a run, as the two that follow."""
+SPEC: Final = "spec.yaml"
+LOG: Final = "log.txt"
 
 NEEDED: Final = (
     "run_id", "status", "spec", "scene", "planner", "perception", "adversary", "version", "seed",

@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from deepmf_sumo import spec as spec_module
 from deepmf_sumo.errors import UsageError
+from deepmf_sumo.results import stored
 from deepmf_sumo.results.gate.own_hits import SameAttacks
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.result import Result
@@ -106,7 +107,7 @@ def _hits(side: Results, other: Results, name: str) -> Iterator[_Hit]:
 def _planner(side: Results, run: Run) -> Plugin:
     """The planner of the side's run of the same id, or the only one of the side."""
     same = [one for one in side.runs if one.run_id == run.run_id]
-    specs = [spec_module.load(one.folder / "spec.yaml") for one in same or side.runs[:1]]
+    specs = [spec_module.load(one.folder / stored.SPEC) for one in same or side.runs[:1]]
     planners = {one.planner for one in side.runs}
     if not specs or (not same and len(planners) > 1):
         raise UsageError(

@@ -54,7 +54,7 @@ def write(out: Path) -> Path:
         "profile": headline(
             described(row.get("profile", ""), row.get("constraints", "").split()) for row in table
         ),
-        "interrupted": bool(_json(out / "summary.json").get("interrupted")),
+        "interrupted": bool(_json(out / stored.SUMMARY).get("interrupted")),
         "manifest": {name: manifest.get(name) for name in ("version", "packages", "machine")},
         "weights": {name: _licences(name) for name in _weights(pages)},
         "orders": {"sector": SECTORS, "element": ELEMENTS, "speed": SPEED_CLASSES},

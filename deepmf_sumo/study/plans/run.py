@@ -168,7 +168,7 @@ def run(
                 store, chosen, options, report, queue=queue, known=batch.Known(changed=changed)
             )
         finally:
-            if (options.out / "runs.csv").is_file():
+            if (options.out / stored.RUNS).is_file():
                 tables.write(options.out)
 
 

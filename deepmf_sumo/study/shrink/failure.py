@@ -71,7 +71,7 @@ def run_of(folder: Path, run_id: str | None = None) -> Path:
 
     Raises UsageError where there is no such run; it names hits of the result folder.
     """
-    if run_id is None and (folder / "result.json").is_file():
+    if run_id is None and (folder / stored.RESULT).is_file():
         return folder
     results = Results.of(folder)
     hits = [run.run_id for run in results.runs if run.hit]
@@ -94,7 +94,7 @@ def read(folder: Path) -> RecordedHit:
     Raises UsageError where the run failed, its opponent did not hit the AV, or a file is missing or
     damaged; SpecError where its planner, its network or its recording is not there any more.
     """
-    result = stored.result_of(folder / "result.json")
+    result = stored.result_of(folder / stored.RESULT)
     if result["status"] != "ok":
         raise UsageError(
             f"{folder}: the run ended with '{result['status']}' ({result['error']}): there is no"
@@ -141,7 +141,7 @@ def read(folder: Path) -> RecordedHit:
 
 def _task(folder: Path, run_id: str) -> Task:
     """The run as a task. Raises UsageError for a live attack, SpecError for what is missing."""
-    file = folder / "spec.yaml"
+    file = folder / stored.SPEC
     if not file.is_file():
         raise UsageError(
             f"{folder} has no spec.yaml: an attack on a simulation of another program cannot be"

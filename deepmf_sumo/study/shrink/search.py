@@ -107,7 +107,7 @@ class Simulator:
         ending = self._worker.do(task)
         folder = self._runs / task.run_id
         if ending.status == "done":
-            yield stored.result_of(folder / "result.json"), folder
+            yield stored.result_of(folder / stored.RESULT), folder
         else:
             yield result_module.unfinished(task, "failed", ending.reason), folder
         rmtree(folder, ignore_errors=True)

@@ -111,7 +111,7 @@ def _results(store: Store, without: Collection[str]) -> Iterable[Result]:
 
 def _task_of(store: Store, result: Result) -> list[Task]:
     """The run as it would be planned today; none where its spec cannot be read any more."""
-    file = store.runs / result["run_id"] / "spec.yaml"
+    file = store.runs / result["run_id"] / stored.SPEC
     try:
         spec = spec_module.load(file)
     except DeepmfError:

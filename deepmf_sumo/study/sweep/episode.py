@@ -35,7 +35,7 @@ from deepmf_sumo.judge import metrics
 from deepmf_sumo.judge.metrics.av_rules import MONITORS
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
-from deepmf_sumo.results import artifacts, result, signals, turns
+from deepmf_sumo.results import artifacts, result, signals, stored, turns
 from deepmf_sumo.results.result import Result, first_contact
 from deepmf_sumo.results.tracks import FILE as TRACKS
 from deepmf_sumo.results.tracks import write_tracks
@@ -147,9 +147,9 @@ class TaskRunner:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         resolved = yaml.safe_dump(task.resolved(), sort_keys=False, allow_unicode=True)
-        files.write(folder / "spec.yaml", resolved)
+        files.write(folder / stored.SPEC, resolved)
         begin = time.perf_counter()
-        with logged(folder / "log.txt"):
+        with logged(folder / stored.LOG):
             try:
                 found = self._attack(task, folder)
             except ReaderError as error:
@@ -438,7 +438,7 @@ def finish(runs: Path, task: Task, found: result.Result) -> None:
     folder, place = working_folder(runs, task), runs / task.run_id
     folder.mkdir(parents=True, exist_ok=True)
     found["expectations_broken"] = broken(task.spec.expect, found)
-    files.write_json(folder / "result.json", found)
+    files.write_json(folder / stored.RESULT, found)
     if place.exists():
         shutil.rmtree(place)
     folder.rename(place)
