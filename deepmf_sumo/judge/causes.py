@@ -48,7 +48,7 @@ from deepmf_sumo.judge.avoidability.reference_drivers import DELAY_S
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
-from deepmf_sumo.judge.metrics.driving import crossed_late
+from deepmf_sumo.judge.metrics.driving import crossed_late, may_turn_on_red
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry import boxes, frames, road
 
@@ -229,11 +229,11 @@ def _by_others(judged: Judgement) -> Iterator[tuple[Change, str, bool]]:
 def _at_light(episode: Episode, encounter: Encounter, hit: Hit, drive: Drive) -> Floats | None:
     """(K) arc lengths of the AV that stops where its light was yellow or red.
 
-    None where it was not, or no comfortable stop was possible once it had left green. Turning right
-    on red is allowed in places.
+    None where it was not, where it may turn on red, or no comfortable stop was possible once it had
+    left green.
     """
     rollout, first = episode.rollout, encounter.first_step
-    if not rollout.signals or hit.meeting.turn_rad(0) < 0:
+    if not rollout.signals or may_turn_on_red(episode.case, hit.meeting.turn_rad(0)):
         return None
     steps = np.arange(rollout.tracks.steps)
     seen = (steps > max(first, rollout.now)) & (steps <= first + encounter.contact)

@@ -45,7 +45,12 @@ from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, _slices, once
 from deepmf_sumo.judge.metrics.avoidability import judgement
 from deepmf_sumo.judge.metrics.collision import collision_clean
-from deepmf_sumo.judge.metrics.driving import against_traffic, feasible, lights_passed
+from deepmf_sumo.judge.metrics.driving import (
+    against_traffic,
+    feasible,
+    lights_passed,
+    may_turn_on_red,
+)
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import road
 from deepmf_sumo.scene.geometry.slow import WALKING_MPS
@@ -214,7 +219,7 @@ def _av_error(episode: Episode, hit: Hit) -> str:
         or _person_stood(episode, meeting, _last(rollout, meeting.other, meeting.step, STOOD_S))
     ):
         return "struck_standing"
-    if _ran_light(rollout, meeting):
+    if _ran_light(episode, meeting):
         return "ran_light"
     error = _error_to_person(episode, hit) if person else None
     return _av_error_by_conflict(hit) if error is None else error
@@ -238,12 +243,13 @@ def _stood(rollout: Rollout, meeting: Meeting) -> bool:
     return there and bool(speed.max() < STOOD_MPS)
 
 
-def _ran_light(rollout: Rollout, meeting: Meeting) -> bool:
+def _ran_light(episode: Episode, meeting: Meeting) -> bool:
     """Whether the AV passed a red light before the contact.
 
-    Turning right does not count, which is allowed in places: who has priority then tells.
+    Not where it may turn on red: who has priority then tells.
     """
-    if meeting.road is None or meeting.turn_rad(0) < 0:
+    rollout = episode.rollout
+    if meeting.road is None or may_turn_on_red(episode.case, meeting.turn_rad(0)):
         return False
     place = rollout.tracks.position_m[meeting.av, meeting.step]
     passed = lights_passed(rollout, meeting.road, meeting.av, place)

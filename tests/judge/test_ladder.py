@@ -11,6 +11,7 @@ from deepmf_sumo.judge.metrics import Episode, NotMeasurable
 from deepmf_sumo.judge.metrics.findings import finding, rung
 from deepmf_sumo.scene import Lane, Neighbour, Plan, RoadMap, SignalState
 from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.scene.signals import STATE_OF
 
 from tests.support.rollout_doubles import case_of, contact_of, in_traffic, rollout_of
 
@@ -83,8 +84,9 @@ def aside(path, metres, begin, seconds=2.0):
 
 
 def episode_of(
-    av, opponent, road=STREET, alone=None, lights=None, delta_v=4.0, others=(), sector=0
-):
+    av, opponent, road=STREET, alone=None, lights=None, delta_v=4.0, others=(), sector=0,
+    recorded=False,
+):  # fmt: skip
     """The episode up to the first overlap; ``alone``: the opponent without the attack."""
     size = np.array([4.8, 2.0])
     touch = boxes.touching(av[:, :2], av[:, 2], size, opponent[:, :2], opponent[:, 2], size)
@@ -103,7 +105,7 @@ def episode_of(
         rollout = replace(rollout, signals=(lights,) * (step - 10))
     expected = opponent if alone is None else alone
     case = replace(case_of({"av": av, "b": expected}), road=road)
-    return Episode(rollout, in_traffic(case) if lights else case)
+    return Episode(rollout, in_traffic(case) if lights and not recorded else case)
 
 
 def told(*args, **more):
@@ -210,7 +212,8 @@ def test_who_passes_a_red_light_errs():
     assert at(SignalState.CAUTION, GO)[2] == ""  # yellow is no red
 
 
-def test_turning_right_at_a_red_light_is_no_error_by_itself():
+def test_turning_right_at_a_red_light_is_no_error_by_itself_in_recordings():
+    """Where it is allowed after a stop, SUMO's light is not red, but flashes (its letter s)."""
     corner = np.array([(-10, 0), (-6, -0.5), (-2, -3), (0, -8), (0, -10)], float)
     road = road_of(
         lane("west", (-200, 0), (-10, 0), next=("right",)),
@@ -226,8 +229,14 @@ def test_turning_right_at_a_red_light_is_no_error_by_itself():
     step = np.gradient(av, axis=0)
     av = np.column_stack([av, np.arctan2(step[:, 1], step[:, 0])])
     straight_on = driven(8, x=0, y=27, heading=-NORTH)
-    lights = {"right": STOP, "down": GO}
-    assert told(av, straight_on, road=road, lights=lights)[2] == "took_priority"
+
+    def error(light, **more):
+        lights = {"right": light, "down": GO}
+        return told(av, straight_on, road=road, lights=lights, **more)[2]
+
+    assert error(STOP, recorded=True) == "took_priority"
+    assert error(STATE_OF["s"]) == "took_priority"
+    assert error(STATE_OF["r"]) == "ran_light"
 
 
 def test_an_av_that_moves_over_into_a_vehicle_errs():

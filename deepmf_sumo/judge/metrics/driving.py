@@ -214,6 +214,15 @@ def lights_passed(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) ->
     return found[max(found)] if found else set()
 
 
+def may_turn_on_red(case: Case, turn_rad: float) -> bool:
+    """Whether a turn (left is positive) may be allowed at a red light after a stop.
+
+    Of recordings maps do not say where: turning right may be. SUMO has a letter of its own for
+    lights at which it is, so its red forbids all.
+    """
+    return isinstance(case, RecordedCase) and turn_rad < 0
+
+
 def passed_green(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) -> bool:
     """Whether the lights that an agent passed last before a place (2), if any, let it go."""
     passed = lights_passed(rollout, road, row, place_m)
