@@ -12,7 +12,7 @@ from deepmf_sumo.deepmf.tracking import Start
 from deepmf_sumo.scene import DT_S, Bools, Floats, Ints, Lane, RoadMap
 from deepmf_sumo.scene.geometry import boxes, polylines
 from deepmf_sumo.scene.geometry.ground import clear, ground_of, on_nearest_level
-from deepmf_sumo.scene.geometry.lane_map import WIDTH_M, LaneMap, per_road, reach_m
+from deepmf_sumo.scene.geometry.lane_map import LaneMap, per_road, reach_m
 
 EVERY_STEPS: Final = 2
 """Futures are examined every 0.2 s."""
@@ -144,11 +144,6 @@ def on_lane(
     near = foot.distance_m <= reach_m(lane)
     on: Bools = near & (np.cos(heading_rad - foot.heading_rad) > _SAME_WAY)
     return on, foot.left_m
-
-
-def width_m(lane: Lane) -> float:
-    """Width of a lane; 3.7 m if the source does not state it."""
-    return lane.width_m or WIDTH_M
 
 
 def _leaves(road: RoadMap, lane: Lane) -> bool:

@@ -39,7 +39,6 @@ from deepmf_sumo.deepmf.lane_assignment import (
     LaneFutures,
     lanes_at,
     on_lane,
-    width_m,
 )
 from deepmf_sumo.deepmf.reference_paths import OwnPath
 from deepmf_sumo.deepmf.situation import Situation
@@ -54,6 +53,7 @@ from deepmf_sumo.scene import (
 )
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.signals import FORBIDS, HALTS, STOP_FIRST
 
 OVER_M: Final = 2.0

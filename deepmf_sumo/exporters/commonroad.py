@@ -25,7 +25,7 @@ from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.scene import AgentId, Floats, Ints, Lane, RoadMap, Scene
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 
 FILE: Final = "run.xml"
@@ -114,7 +114,7 @@ def _lanelet(
     """Borders, the lanes before and after it and beside it, its kind and its limit."""
     element = SubElement(root, "lanelet", id=str(ids[lane.id]))
     normal = frames.unit(_directions(lane.centre_m) + np.pi / 2)
-    half = (lane.width_m or WIDTH_M) / 2
+    half = width_m(lane) / 2
     for name, side in (("leftBound", 1.0), ("rightBound", -1.0)):
         bound = SubElement(element, name)
         for point in lane.centre_m + side * half * normal:

@@ -17,6 +17,7 @@ import numpy as np
 from deepmf_sumo.judge.accident_types import CUT_IN_S, came_from_beside
 from deepmf_sumo.scene import DT_S, Floats, Ints, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.sumo.network.matching import match
 
 ConflictType = Literal[
@@ -51,8 +52,6 @@ _ASKEW_RAD: Final = float(np.radians(20.0))
 """A vehicle that is turned more against its lane is about to leave it."""
 _OVER_M, _OVER_AT_JUNCTION_M = 0.25, 1.0
 """Beyond the edge of its lane; nothing marks the ways over a junction."""
-_WIDTH_M: Final = 3.5
-"""Of a lane of unknown width."""
 _BESIDE_M: Final = 1.0
 _MOVED_M: Final = 0.3
 """A vehicle that moved less in 3 s stood: it did not change lanes."""
@@ -379,8 +378,8 @@ class Meeting:
             return False
         place = polylines.project(known.centre_m, self.tracks.position_m[row, step][None])
         askew = _angle(self.tracks.heading_rad[row, step], float(place.heading_rad[0]))
-        width_m, aside_m = known.width_m or _WIDTH_M, float(place.distance_m[0])
-        beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m) / 2
+        aside_m = float(place.distance_m[0])
+        beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m(known)) / 2
         if loosely and _of_junction(self.road, lane):
             return askew > _TURNED_RAD or beyond_m > _OVER_AT_JUNCTION_M
         return askew > _ASKEW_RAD or beyond_m > _OVER_M

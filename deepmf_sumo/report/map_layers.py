@@ -9,10 +9,8 @@ from typing import Final, NamedTuple
 import shapely
 
 from deepmf_sumo.scene import Floats, RoadMap
-from deepmf_sumo.scene.geometry.lane_map import per_road
+from deepmf_sumo.scene.geometry.lane_map import per_road, width_m
 
-UNKNOWN_WIDTH_M: Final = 3.5
-"""Width at which lanes are drawn that do not say theirs."""
 _FILLED_M: Final = 5.0
 """Between lanes of one junction gaps up to twice this wide are part of it."""
 
@@ -93,10 +91,7 @@ class Feature(NamedTuple):
 @per_road
 def features(road: RoadMap) -> list[Feature]:
     """All that is drawn of a road, see `LAYERS`."""
-    found = [
-        Feature("lane", [lane.centre_m], lane.width_m or UNKNOWN_WIDTH_M)
-        for lane in road.lanes.values()
-    ]
+    found = [Feature("lane", [lane.centre_m], width_m(lane)) for lane in road.lanes.values()]
     found += [Feature("junction", area) for area in junctions(road)]
     for kind, lines in (("line", road.lines), ("edge", road.edges)):
         found += [Feature(kind, [one.points_m]) for one in lines]
@@ -117,9 +112,7 @@ def junctions(road: RoadMap) -> list[list[Floats]]:
     Each an outline (P, 2), and those of its islands.
     """
     lanes = [
-        shapely.LineString(lane.centre_m).buffer(
-            (lane.width_m or UNKNOWN_WIDTH_M) / 2, cap_style="flat"
-        )
+        shapely.LineString(lane.centre_m).buffer(width_m(lane) / 2, cap_style="flat")
         for lane in road.lanes.values()
         if lane.interpolating and len(lane.centre_m) > 1
     ]

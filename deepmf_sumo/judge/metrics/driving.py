@@ -16,7 +16,7 @@ from deepmf_sumo.scene import (
     SignalState,
 )
 from deepmf_sumo.scene.geometry import frames, polylines, road
-from deepmf_sumo.scene.geometry.lane_map import WIDTH_M
+from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import PEOPLE, RoadUser, road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS
@@ -280,7 +280,7 @@ def _crossed(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, 
 def _stop_line(road: RoadMap, lane_id: str, point: Floats) -> StopLine:
     lane = road.lanes[lane_id]
     heading = float(polylines.project(lane.centre_m, point).heading_rad)
-    return StopLine(lane_id, point, heading, (lane.width_m or WIDTH_M) / 2)
+    return StopLine(lane_id, point, heading, width_m(lane) / 2)
 
 
 def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:

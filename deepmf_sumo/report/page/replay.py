@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict
 from deepmf_sumo.report.figures.episode import met_at
-from deepmf_sumo.report.map_layers import UNKNOWN_WIDTH_M
 from deepmf_sumo.results import stored
 from deepmf_sumo.scene import (
     Bools,
@@ -29,6 +28,7 @@ from deepmf_sumo.scene import (
     Rollout,
 )
 from deepmf_sumo.scene.geometry import sight
+from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS, STOP_FIRST
 
 
@@ -120,7 +120,7 @@ def lights(rollout: Rollout, road: RoadMap, origin: Floats) -> list[list[Any]]:
 
 def _bars(rollout: Rollout, road: RoadMap, names: list[str], origin: Floats) -> Iterator[list[Any]]:
     lanes = [road.lanes[name] for name in names]
-    stop, width = lanes[0].centre_m[0], lanes[0].width_m or UNKNOWN_WIDTH_M
+    stop, width = lanes[0].centre_m[0], width_m(lanes[0])
     approach = next((road.lanes[one] for one in lanes[0].previous if one in road.lanes), None)
     line = approach.centre_m[::-1] if approach is not None else lanes[0].centre_m
     away = line[np.hypot(*(line - line[0]).T) > _SAME_PLACE_M]

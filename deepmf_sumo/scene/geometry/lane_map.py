@@ -17,8 +17,8 @@ import shapely
 
 from deepmf_sumo.scene import Bools, Floats, Ints, Lane, RoadMap
 
-WIDTH_M: Final = 3.7
-"""Width of a lane whose source states none."""
+_WIDTH_M: Final = 3.7
+"""A freeway lane is 12 feet wide. The width that SUMO gets of such lanes is another."""
 MARGIN_M: Final = 0.5
 """A point is on a lane up to half the lane's width and this margin from its line."""
 _RUN: Final = 16
@@ -30,9 +30,14 @@ _MOST_KEPT: Final = 8
 T = TypeVar("T")
 
 
+def width_m(lane: Lane) -> float:
+    """Width of a lane; 3.7 m if the source does not state it."""
+    return lane.width_m or _WIDTH_M
+
+
 def reach_m(lane: Lane) -> float:
     """Distance from a lane's line up to which a point is on the lane."""
-    return (lane.width_m or WIDTH_M) / 2 + MARGIN_M
+    return width_m(lane) / 2 + MARGIN_M
 
 
 def per_road(prepare: Callable[[RoadMap], T]) -> Callable[[RoadMap], T]:
