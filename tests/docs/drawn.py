@@ -20,7 +20,7 @@ _DRAWING = (f"{_REPORT}/drawing.py", f"{_REPORT}/palette.py")
 _EPISODE = (*_DRAWING, f"{_REPORT}/figures/episode.py")
 _PAGE = (f"{_REPORT}/page/**/*.*", f"{_REPORT}/palette.py", "tests/docs/browser.py")
 SOURCES = {
-    "left_turn.webp": (*_EPISODE, "tests/docs/front_page.py"),
+    "finding.webp": (*_EPISODE, "tests/docs/front_page.py"),
     "risk_map.webp": (*_EPISODE, f"{_REPORT}/risk/sumo_files.py", "tests/docs/front_page.py"),
     "risk_page.webp": (*_PAGE, f"{_REPORT}/risk/folder.py", "tests/docs/front_page.py"),
     "report_page.webp": (*_PAGE, f"{_REPORT}/failures.py", "tests/docs/gallery.py"),

@@ -1,10 +1,10 @@
 """Make the pictures of README: ``python -m tests.docs.front_page [RESULTS]``, some minutes.
 
-``docs/pictures/left_turn.webp`` is the packaged left turn across the AV's path, step by step: the
+``docs/pictures/finding.webp`` is the packaged red-light runner, a finding, step by step: lights,
 candidates of the plan that drives the opponent, the AV's predicted reactions to the chosen one, and
 the contact. ``docs/pictures/risk_map.webp`` is the risk map of a packaged network, from attacks at
-moments that are chosen, or from the result folder RESULTS of such a command; ``risk_page.webp``,
-in docs/gallery.md, is the same map as a page in a browser.
+moments that are chosen, or from the result folder RESULTS of such a command; ``risk_page.webp``, in
+docs/gallery.md, is the same map as a page in a browser.
 """
 
 import csv
@@ -40,14 +40,15 @@ from deepmf_sumo.report.palette import (
     hexadecimal,
 )
 from deepmf_sumo.results.reader import Results, Run
-from deepmf_sumo.scene import RoadMap
+from deepmf_sumo.scene import RoadMap, signals
+from deepmf_sumo.scene.geometry.lane_map import width_m
 
 from tests.docs import drawn
 from tests.docs.browser import photograph
 from tests.docs.drawn import PICTURES
 from tests.docs.pages import ROOT
 
-SPEC = ROOT / "scenarios" / "left_turn_across_path.yaml"
+SPEC = ROOT / "scenarios" / "red_light_runner.yaml"
 NETWORK = ROOT / "sumo_nets" / "four_way" / "four_way.sumocfg"
 MOMENTS = 120
 
@@ -57,6 +58,7 @@ MARGIN_M, NEAR_M, SMALL = 20.0, 240.0, 0.27
 SCALE_M = 20.0
 STEP_MS, HOLD_MS = 120, 2600
 BACKGROUND = "#ffffff"
+LIGHTS = {"red": "#d62728", "yellow": "#e0a800", "green": "#2ca02c"}
 WORST = 3
 PLAIN = {"fontsize": 12, "framealpha": 0.95}
 
@@ -130,6 +132,7 @@ def draw_step(run: Run, road: RoadMap, plans: Plans, step: int) -> Image.Image:
     axes = figure.add_axes((0, 0, 1, SIDE_IN / (SIDE_IN + TITLE_IN)))
     ground(axes, road, window, SIDE_IN)
     signs(axes, window)
+    lights(axes, run, road, step)
     vehicles(axes, run, window, step)
     said = f"{(step - rollout.now) * rollout.dt_s:.1f} s"
     if step == contact.step:
@@ -139,7 +142,7 @@ def draw_step(run: Run, road: RoadMap, plans: Plans, step: int) -> Image.Image:
         said = f"hit after {said} at {contact.relative_mps:.0f} m/s"
     else:
         intentions(axes, plans, step)
-    title(figure, f"Left turn in front of the AV: {said}")
+    title(figure, f"A car runs a red light: {said}")
     handles = list(key(met=step == contact.step))
     axes.legend(handles=handles, loc="lower right", fontsize=12, framealpha=0.95).set(zorder=30)
     return pixels(figure)
@@ -155,6 +158,20 @@ def intentions(axes: Axes, plans: Plans, step: int) -> None:
         lines.set(alpha=0.6, zorder=3)
     chosen = plans.chosen[number][driven:].T
     axes.plot(*chosen, color=OPPONENT, lw=2.4, ls=(0, (4, 1.5)), zorder=5)
+
+
+def lights(axes: Axes, run: Run, road: RoadMap, step: int) -> None:
+    """Stop lines in the colours of their lights."""
+    rollout = run.rollout
+    now = rollout.signals[max(step - rollout.now - 1, 0)]
+    for name, state in now.items():
+        lane, shade = road.lanes[name], signals.colour(state)
+        if shade is not None and lane.previous:
+            before = road.lanes[lane.previous[0]].centre_m
+            ahead = before[-1] - before[-2]
+            aside = np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead) * width_m(lane) / 2
+            line = np.stack([lane.centre_m[0] - aside, lane.centre_m[0] + aside])
+            axes.plot(*line.T, color=LIGHTS[shade], lw=4, solid_capstyle="butt", zorder=5)
 
 
 def vehicles(axes: Axes, run: Run, window: ViewWindow, step: int) -> None:
@@ -281,16 +298,16 @@ def main() -> int:
     """Run, draw, and say how large the files are."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        turn = deepmf_sumo.run([SPEC], folder / "turn", pictures=False)
-        animation(turn.runs[0], PICTURES / "left_turn.webp")
+        runner = deepmf_sumo.run([SPEC], folder / "runner", pictures=False)
+        animation(runner.runs[0], PICTURES / "finding.webp")
         given = [Results.open(Path(argument)) for argument in sys.argv[1:]]
         results = given[0] if given else attacked(folder / "four-way")
         risk_map(results, PICTURES / "risk_map.webp")
-        drawn.keep("left_turn.webp", "risk_map.webp")
+        drawn.keep("finding.webp", "risk_map.webp")
         page = results.folders[0] / "risk" / "risk.html"
         if photograph(page.resolve(), PICTURES / "risk_page.webp"):
             drawn.keep("risk_page.webp")
-    for picture in ("left_turn.webp", "risk_map.webp"):
+    for picture in ("finding.webp", "risk_map.webp"):
         print(picture, f"{(PICTURES / picture).stat().st_size / 1000:.0f} kB")
     return 0
 

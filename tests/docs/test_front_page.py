@@ -27,7 +27,7 @@ def test_the_pictures_of_readme_are_small_and_one_moves():
         with Image.open(ROOT / name) as picture:
             frames[name.rpartition("/")[2]] = picture.n_frames
     assert frames["risk_map.webp"] == 1
-    assert frames["left_turn.webp"] > 20
+    assert frames["finding.webp"] > 20
 
 
 def test_readme_is_a_screen_and_a_half():
@@ -36,19 +36,19 @@ def test_readme_is_a_screen_and_a_half():
 
 @pytest.mark.sumo
 def test_a_step_shows_the_plan_that_drives_and_the_last_one_the_contact(tmp_path):
-    results = deepmf_sumo.run([front_page.SPEC], tmp_path / "turn", pictures=False)
+    results = deepmf_sumo.run([front_page.SPEC], tmp_path / "runner", pictures=False)
     [run] = results.runs
     assert run.hit
     plans, road = front_page.Plans.read(run.folder / "plans.npz"), run.road()[0]
     now, last = run.rollout.now, run.contact.step
     assert plans.at(now) == (0, 0)
     assert plans.at(plans.first[1] + 3) == (1, 4)
-    begin, end = (front_page.draw_step(run, road, plans, step) for step in (now, last))
+    near = now + 20  # both are in the picture
+    begin, end = (front_page.draw_step(run, road, plans, step) for step in (near, last))
     for colour in (front_page.CANDIDATE, front_page.REACTION):
-        assert amount(begin, colour) > amount(end, colour) + 300
+        assert amount(begin, colour) > amount(end, colour) + 100
     assert amount(end, "black") > amount(begin, "black")
     ways = [plan[0] for plan in plans.chosen]
-    starts = [
-        run.rollout.tracks.position_m[run.rollout.tracks.row("turner"), k] for k in plans.first
-    ]
+    opponent = run.rollout.tracks.row(run.rollout.opponent_id)
+    starts = [run.rollout.tracks.position_m[opponent, k] for k in plans.first]
     assert np.allclose(ways, starts, atol=1.5)  # a plan begins where the opponent drives
