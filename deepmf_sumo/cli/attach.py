@@ -83,7 +83,6 @@ def command(
         watched(keys.http, wish.avs) as (watch, tell),
         closing(live.prepare(wish, out, overwrite=overwrite)) as prepared,
     ):
-        prepared.load()  # SUMO waits for whoever has joined
         prepared.record.switched = tell_switch
         prepared.record.jumped = tell_jump
         done = live.attach(port, prepared, stay, stopped=stopped, tell=tell, watch=watch)

@@ -126,7 +126,6 @@ def _served(
 
     click.echo(f"listening on port {server.port}: traci.connect({server.port})", err=True)
     _tell_steps(server)
-    prepared.load()  # while SUMO reads the network, and the client gets ready
     prepared.record.switched = tell_switch
     prepared.record.jumped = tell_jump
     server.await_client(stopped)

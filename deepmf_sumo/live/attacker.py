@@ -4,7 +4,8 @@ import functools
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -60,6 +61,30 @@ class OneThread:
         """As the policy does."""
         with self.one_thread():
             return self.inner.plan(view)
+
+
+class LatePolicy:
+    """What `policy_of` makes of a spec, made when an attack first begins: that takes seconds."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._spec = spec
+
+    @cached_property
+    def _policy(self) -> Policy:
+        return policy_of(self._spec)
+
+    @property
+    def period_steps(self) -> int | None:
+        """That of the policy."""
+        return self._policy.period_steps
+
+    def reset(self, view: View, rng: np.random.Generator) -> tuple[AgentId, ...]:
+        """As the policy does. Raises WeightsError."""
+        return self._policy.reset(view, rng)
+
+    def plan(self, view: View) -> Mapping[AgentId, Plan]:
+        """As the policy does."""
+        return self._policy.plan(view)
 
 
 _SHORTEST_S: Final = 3.0
@@ -401,20 +426,12 @@ class Attached:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """All that a session needs except SUMO: the wish, and what it was made into.
-
-    Attributes:
-        policies: one for each AV; empty until `load`.
-    """
+    """All that a session needs except SUMO: the wish, and what it was made into."""
 
     wish: AttackRequest
     spec: Spec
+    policies: tuple[Policy, ...]
     record: SessionRecord
-    policies: list[Policy] = field(default_factory=list)
-
-    def load(self) -> None:
-        """Load the predictors, which takes seconds. Raises WeightsError."""
-        self.policies[:] = [policy_of(self.spec) for _ in self.wish.avs]
 
     def close(self) -> None:
         """Give the folder free, after the last `attach`."""
@@ -429,18 +446,20 @@ def prepare(wish: AttackRequest, out: Path, *, overwrite: bool = False) -> Prepa
         out: folder for the attacks.
         overwrite: delete the results of an earlier command in it, when the session begins.
 
-    Raises SpecError and UsageError for a wrong command, WeightsError for weights that are not there
-    (what else is wrong with them shows in `Prepared.load`), OutputError for a folder that cannot be
-    used.
+    The predictors are loaded where the first attack begins.
+
+    Raises SpecError and UsageError for a wrong command, WeightsError for weights, OutputError for a
+    folder that cannot be used.
     """
     from deepmf_sumo.deepmf.networks import weights
 
     triggers_of(wish)
     spec = spec_of(wish)
     _settings(spec)
-    weights.find(spec.weights)
+    weights.check(spec.weights)
+    policies = tuple(LatePolicy(spec) for _ in wish.avs)
     record = SessionRecord(out, wish.avs, spec, overwrite=overwrite)
-    return Prepared(wish=wish, spec=spec, record=record)
+    return Prepared(wish=wish, spec=spec, policies=policies, record=record)
 
 
 def attach(

@@ -10,7 +10,6 @@ from safetensors import SafetensorError
 from safetensors.torch import load as tensors_of
 from torch import Tensor, nn
 
-from deepmf_sumo import files
 from deepmf_sumo.deepmf.networks import weights
 from deepmf_sumo.deepmf.networks.config import Preset
 from deepmf_sumo.deepmf.networks.densetnt import DenseTNT
@@ -91,20 +90,10 @@ def tensors(folder: Path, network: str, digest: object = None) -> dict[str, Tens
 
     Raises WeightsError where they cannot be read, or have another digest than the one given.
     """
-    file = folder / f"{network}.safetensors"
     try:
-        content = files.content(file, weights.LARGEST_TENSORS)
-        if digest is None or digest == weights.digest_of(content):
-            return tensors_of(content)
-        why = ", or of another training than its card: its digest is not the card's "
-        why += weights.DIGEST
-    except FileNotFoundError:
-        raise weights.missing(folder, file) from None
-    except OSError as error:
-        why = f" ({files.reason(error)})"
+        return tensors_of(weights.content(folder, network, digest))
     except (SafetensorError, ValueError, KeyError) as error:
-        why = f" ({error})"
-    raise broken(folder, network, f"{file.name} is damaged{why}")
+        raise broken(folder, network, f"{network}.safetensors is damaged ({error})") from None
 
 
 def read_network(
