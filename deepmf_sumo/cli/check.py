@@ -90,7 +90,11 @@ def command(
 
 
 def _rows(verdict: "GateVerdict") -> list[dict[str, Any]]:
-    """One row for each threshold and each comparison with the baseline."""
+    """One row for each threshold, comparison with the baseline, and broken expectation.
+
+    All that the exit code is of is in a row.
+    """
+    from deepmf_sumo.results.frames import rows_of
     from deepmf_sumo.results.gate.thresholds import ALL
     from deepmf_sumo.results.gate.verdict import said
 
@@ -102,7 +106,7 @@ def _rows(verdict: "GateVerdict") -> list[dict[str, Any]]:
             | {"was": None, "value": one.value, "low": low, "high": high, "unit": one.unit}
             | {"runs": one.runs, "state": one.state}
         )
-    for each in verdict.comparisons or ():
+    for each in verdict.compared:
         mean, low, high = each.found.difference or (None, None, None)
         found.append(
             {"kind": "baseline", "group": each.group, "quantity": each.quantity, "allowed": None}
@@ -120,5 +124,10 @@ def _rows(verdict: "GateVerdict") -> list[dict[str, Any]]:
             | {"was": len(same.baseline_own), "value": len(same.own), "unit": "1"}
             | {"runs": same.hits + same.baseline_hits, "state": same.state}
         )
+    for run in rows_of(verdict.results.runs):
+        found += [
+            {"kind": "expectation", "group": run.run_id, "quantity": broken, "state": "broken"}
+            for broken in run.expectations_broken
+        ]
     names = dict.fromkeys(name for row in found for name in row)
     return [{name: row.get(name) for name in names} for row in found]

@@ -1,3 +1,5 @@
+import json
+
 import pytest
 
 from deepmf_sumo.cli import main
@@ -93,6 +95,28 @@ def test_a_regression_names_the_situations_and_needs_no_thresholds(tmp_path, cap
     assert "spec 7" not in named
     assert main.run(["check", str(new), "--baseline", str(new)]) == 0
     assert "most in" not in capsys.readouterr().out
+
+
+def test_rows_have_all_that_the_exit_code_is_of(tmp_path, capsys):
+    runs = [gate_doubles.result("a", spec=f"spec {number}") for number in range(40)]
+    for run in runs:
+        run["metrics"]["av_time_gap_min"] = {"value": 2.0}
+    old = gate_doubles.write_folder(tmp_path / "old", runs)
+    for run in runs[:16]:
+        run["metrics"]["av_time_gap_min"] = {"value": 1.7}
+    runs[-1]["expectations_broken"] = ["outcome was none, expected av_opponent"]
+    new = gate_doubles.write_folder(tmp_path / "new", runs)
+    judged = "baseline: {quantities: [av_inverse_time_gap_per_s]}"
+    assert check(tmp_path, new, judged, "--baseline", old, "--format", "json") == 1
+    rows = {row["quantity"]: row for row in json.loads(capsys.readouterr().out)}
+    worse = rows["pairs with worse av_inverse_time_gap_per_s"]
+    assert (worse["was"], worse["value"], worse["state"]) == (0.0, 0.4, "worse")
+    broken = rows["outcome was none, expected av_opponent"]
+    assert (broken["kind"], broken["group"], broken["state"]) == (
+        "expectation",
+        "spec-39--a--0",
+        "broken",
+    )
 
 
 def test_nothing_to_judge_by_is_an_error(out, capsys):

@@ -57,9 +57,9 @@ _OURS: Final = {
 _VALUE: Final = re.compile(r"^(?!-)|^-[\d.]")  # -1 is a value, -b is not
 _READ: Final = re.compile(
     r"(^|[.-])files?$|^load-state$|^phemlight-path$"
-    r"|^astar\.(all|landmark)-distances$|^pedestrian\.jupedsim\.(wkt|py)$"
+    r"|^astar\.(all|landmark)-distances$"
 )
-_WRITTEN: Final = {"log-file", "save-state.files"}
+_WRITTEN: Final = {"log-file", "save-state.files", "device.ssm.file", "device.toc.file"}
 """What SUMO writes, though its name looks otherwise."""
 _LARGEST: Final = 2**24
 _OTHER_FILES: Final = {

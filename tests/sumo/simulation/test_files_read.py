@@ -20,6 +20,8 @@ CONFIG = """<configuration>
   <device.fcd-replay.file value="replay.xml"/>
   <tripinfo value="trips.xml"/>
   <log-file value="sumo.log"/>
+  <device.ssm.file value="ssm.xml"/>
+  <device.toc.file value="toc.xml"/>
   <gui-settings-file value="view.xml"/>
   <end value="2"/>
 </configuration>"""
@@ -38,6 +40,8 @@ FILES = {
     "loop.xml": "of an earlier run",
     "trips.xml": "of an earlier run",
     "sumo.log": "of an earlier run",
+    "ssm.xml": "of an earlier run",
+    "toc.xml": "of an earlier run",
     "beside.xml": "<additional/>",
 }
 

@@ -103,6 +103,7 @@ def test_names_of_options_are_those_of_sumo(tmp_path):
     subprocess.run(command, check=True, capture_output=True)
     writes = {"save-template", "save-schema", "log", "message-log"}
     writes |= {"error-log", "save-configuration", "netstate-dump", "save-state.prefix"}
+    writes |= {"pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py"}
     listed = _OPTION.findall(template.read_text("utf-8"))  # the file is not well-formed XML
     assert len(listed) > 300
     for option, synonyms, kind in listed:
