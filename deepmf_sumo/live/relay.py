@@ -37,6 +37,10 @@ LOAD, STEP, ORDER, CLOSE, HALF_STEP = 0x01, 0x02, 0x03, 0x7F, 0x7D
 GET_SIMULATION: Final = 0xAB
 """TraCI's numbers of commands."""
 _TIME, _STEP_LENGTH, _OPTION = 0x66, 0x7B, 0x32
+_SUBSCRIBED: Final = 0xEB
+"""A result of a subscription to variables of the simulation."""
+_EVENTS: Final = frozenset({*range(0x68, 0x7B), *range(0x24, 0x28), 0x89, 0x8A})
+"""Variables of the simulation on what has happened in a step: departures, arrivals, stops ..."""
 _DOUBLE, _STRING = 0x0B, 0x0C
 LARGEST: Final = 64 * 2**20
 """Bytes of a message."""
@@ -275,7 +279,9 @@ class _Filter:
             return _refused(number, f"{why}.")
         if number == STEP:
             whole = _until(command, self._sumo)
-            return _without_ours(self._sumo.asked(whole, may_take_long=True))
+            answer = _without_ours(self._sumo.asked(whole, may_take_long=True))
+            single = whole.endswith(_FLOAT.pack(0.0))  # one of SUMO's own
+            return answer if single else _with_events(answer, self._sumo)
         own = _of_step_length(command, self._sumo.step_s)
         return own or self._sumo.asked(command, may_take_long=number == CLOSE)
 
@@ -479,6 +485,73 @@ def _without_ours(answer: bytes) -> bytes:
             kept.append(answer[at:end])
         at = end
     return answer[:begin] + _INT.pack(len(kept)) + b"".join(kept)
+
+
+def _with_events(answer: bytes, sumo: _Sumo) -> bytes:
+    """The answer to a step with all that has happened in it.
+
+    Where another client makes shorter steps, SUMO puts into subscriptions what happened in its last
+    one; asked for the same variable, it tells all since the client's last step.
+    """
+    begin = _length(answer, 0)
+    if len(answer) < begin + 4:  # the step was refused
+        return answer
+    found, at = [answer[: begin + 4]], begin + 4
+    while at < len(answer):
+        end = at + _length(answer, at)
+        found.append(_renewed(answer[at:end], sumo))
+        at = end
+    return b"".join(found)
+
+
+def _renewed(result: bytes, sumo: _Sumo) -> bytes:
+    """A subscription's result, in which what has happened is as asked for."""
+    head = 1 if result[0] else 5
+    if result[head] != _SUBSCRIBED:
+        return result
+    named = _object(result, 0)
+    of, places = _INT.pack(len(named)) + named, _places(result, head + 5 + len(named))
+    asked = [framed(bytes((GET_SIMULATION, one)) + of) for one in places if one in _EVENTS]
+    if not asked:
+        return result
+    told = {}
+    for one in commands_of(sumo.asked(b"".join(asked))):
+        body = one[1 if one[0] else 5 :]
+        if body[0] != GET_SIMULATION:  # not the status
+            told[body[1]] = body[2 + len(of) :]
+    kept, done = b"", head
+    for variable, (begin, end) in places.items():
+        kept += result[done:begin] + told.get(variable, result[begin:end])
+        done = end
+    return b"\0" + _INT.pack(len(kept) + 5) + kept  # as long as that, as SUMO does
+
+
+def _places(result: bytes, at: int) -> dict[int, tuple[int, int]]:
+    """Begin and end of each variable's value with its type; ``at``: where their number is."""
+    found, left = {}, result[at]
+    at += 1
+    while left:
+        end = _end_of_value(result, at + 2)  # behind the variable and whether it has a value
+        found[result[at]] = (at + 2, end)
+        at, left = end, left - 1
+    return found
+
+
+_SIZES: Final = {0x01: 16, 0x03: 24, 0x07: 1, 0x08: 1, 0x09: 4, 0x0B: 8, 0x11: 4}
+"""Bytes of values by their type: positions, numbers, colours."""
+
+
+def _end_of_value(data: bytes, at: int) -> int:
+    """Where a value ends, whose type is at ``at``; variables of the simulation have no others."""
+    kind, at = data[at], at + 1
+    if kind in _SIZES:
+        return at + _SIZES[kind]
+    count, at = int(_INT.unpack_from(data, at)[0]), at + 4
+    if kind == _STRING:
+        return at + count
+    for _ in range(count):  # of a list of strings, or of a compound
+        at = _end_of_value(data, at) if kind != _STRINGS else at + 4 + _INT.unpack_from(data, at)[0]
+    return at
 
 
 def _object(data: bytes, at: int) -> bytes:

@@ -41,12 +41,17 @@ step, seen = float(sys.argv[2]), []
 api.simulationStep()
 api.vehicle.subscribe("leader", [0x42, 0x40])
 api.vehicle.subscribeContext("av", 0xA4, 60.0, [0x40])
+api.simulation.subscribe([0x66, 0x74, 0x73, 0x7A, 0x79, 0x6D])
+api.route.add("way", ["ab"])
+for late in (2.1, 2.3, 4.2):
+    api.vehicle.add(f"late {late}", "way", depart=str(late), departPos="free")
 while api.simulation.getTime() < 6.0:
     api.simulationStep(api.simulation.getTime() + step)
     seen.append([api.simulation.getTime(), sorted(
         (one, *api.vehicle.getPosition(one)) for one in api.vehicle.getIDList())])
     seen.append(repr(api.vehicle.getSubscriptionResults("leader")))
     seen.append(repr(api.vehicle.getContextSubscriptionResults("av")))
+    seen.append(repr(api.simulation.getSubscriptionResults()))
 seen.append(sorted(map(str, api.poi.getAllContextSubscriptionResults())))
 json.dump(seen, open(sys.argv[3], "w"))
 api.close()
