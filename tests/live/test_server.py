@@ -26,7 +26,8 @@ from traci import constants
 
 import deepmf_sumo
 from deepmf_sumo.cli import _leaving, main
-from deepmf_sumo.errors import exit_code
+from deepmf_sumo.errors import WeightsError, exit_code
+from deepmf_sumo.live.attacker import AttackRequest, prepare
 from deepmf_sumo.live.relay import CLOSE, GET_SIMULATION, LARGEST, LOAD, ORDER, STEP, _Filter
 from deepmf_sumo.live.server import _finer
 
@@ -602,6 +603,41 @@ def test_errors_of_the_command_show_before_a_client_can_come(tiny, tmp_path, cap
     found = capsys.readouterr().err
     assert told in found
     assert "listening" not in found
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("DEEPMF_SUMO_DEVICE", "gpu", "DEEPMF_SUMO_DEVICE is 'gpu'"),
+        ("DEEPMF_SUMO_RUNTIME", "onnx", "opponent.onnx is missing"),
+    ],
+)
+def test_what_computes_the_networks_is_checked_before_a_client_can_come(
+    tiny, tmp_path, capsys, monkeypatch, name, value, told
+):
+    """A set needs the files of what computes it, and no others."""
+    monkeypatch.setenv(name, value)
+    weights = tmp_path / "weights"
+    shutil.copytree(Path(deepmf_sumo.__file__).parent / "weights" / "open", weights)
+    options = ("--set", f"weights={weights}", *STEPS)
+    (weights / "opponent.onnx").unlink()
+    assert serve(tiny, tmp_path, "--port", 0, *options) == 2
+    found = capsys.readouterr().err
+    assert told in found
+    assert "listening" not in found
+
+
+def test_a_set_of_graphs_alone_is_whole_where_onnx_computes(tmp_path, monkeypatch):
+    weights = tmp_path / "weights"
+    shutil.copytree(
+        Path(deepmf_sumo.__file__).parent / "weights" / "open", weights,
+        ignore=shutil.ignore_patterns("*.safetensors"),
+    )  # fmt: skip
+    wish = AttackRequest(avs=("av",), sets=(f"weights={weights}",))
+    with pytest.raises(WeightsError, match="safetensors is missing"):
+        prepare(wish, tmp_path / "torch")
+    monkeypatch.setenv("DEEPMF_SUMO_RUNTIME", "onnx")
+    prepare(wish, tmp_path / "onnx").close()
 
 
 def test_an_edge_that_is_not_there_ends_everybody(served):

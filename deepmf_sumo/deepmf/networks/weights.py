@@ -148,10 +148,14 @@ def without_people(folder: Path) -> str:
 def check(name: str | Path) -> None:
     """Raise WeightsError where a set is not whole, as far as that shows without what computes it.
 
-    That takes milliseconds; `load` takes seconds.
+    That takes milliseconds; `load` takes seconds with torch. ONNX graphs are loaded, for later.
     """
     folder = find(name)
+    runtime_and_device()  # raises where the environment asks for what is not there
     need(_PACKAGES[runtime_name()], f"{RUNTIME}={runtime_name()}")
+    if runtime_name() != "torch":
+        cached_predictors(name)
+        return
     for network in NETWORKS:
         first = read_card(folder, network)
         count = len(members(folder, first)) if network == "marginal" else 1
