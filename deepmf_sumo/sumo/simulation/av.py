@@ -9,6 +9,7 @@ from deepmf_sumo.scene import DT_S, AgentId, Command, Floats
 from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
+from deepmf_sumo.sumo.simulation import on_lane
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
 from deepmf_sumo.sumo.simulation.sumo_api import MATCH_M, SumoApi
@@ -34,8 +35,6 @@ _LOOK_M = 100.0
 
 LANE_LOST: Final = "SUMO cannot drive it from there: it drives to the nearest lane first"
 """The event ``lane_lost``."""
-_AGAINST_RAD: Final = 2 * np.pi / 3
-"""A vehicle that is turned against its lane by more than this drives on it backwards."""
 
 
 class WayBack(NamedTuple):
@@ -346,7 +345,7 @@ class RouteAhead:
         end = max(min(along[-1], begin + length_m), begin + 1.0)
         inner = along[(along > begin + 1e-3) & (along < end - 1e-3)]
         points, heading = self._line.at(np.array([begin, *inner, end]))
-        left = float(vehicle.getLateralLanePosition(self._id)) * (-1.0 if against else 1.0)
+        left = on_lane.left_m(self._api, self._id, points[0], float(heading[0]))
         if abs(left) > 0.01:
             points = points + left * np.stack([-np.sin(heading), np.cos(heading)], -1)
         return points
@@ -370,8 +369,7 @@ class RouteAhead:
         if measured is None:
             return False
         _, lane_rad = measured.at(np.array(along_m))
-        heading_rad = np.radians(90.0 - float(self._api.vehicle.getAngle(self._id)))
-        return bool(abs(frames.difference(lane_rad, heading_rad)) > _AGAINST_RAD)
+        return on_lane.against(float(lane_rad), float(self._api.vehicle.getAngle(self._id)))
 
     def _lanes_ahead(self, lane: str) -> list[str]:
         # on a junction's lane SUMO lists only the links after the junction

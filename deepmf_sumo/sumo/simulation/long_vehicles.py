@@ -20,6 +20,7 @@ from deepmf_sumo import files
 from deepmf_sumo.scene import AgentId, Floats, agent_ids
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.polylines import Measured
+from deepmf_sumo.sumo.simulation import on_lane
 from deepmf_sumo.sumo.simulation.files_read import with_named
 from deepmf_sumo.sumo.simulation.sumo_api import SumoApi
 
@@ -75,10 +76,11 @@ def divided(length_m: float, type_has: _Carriages) -> Lengths:
 
 
 class _Piece(NamedTuple):
-    """A lane on the way that a vehicle has come: SUMO's length of it, and its shape."""
+    """A lane on the way that a vehicle has come, and SUMO's length of it."""
 
     lane: str
     length_m: float
+    against: bool = False
 
 
 class LongVehicles:
@@ -93,7 +95,7 @@ class LongVehicles:
         self._lengths: dict[AgentId, Lengths] = {}
         self._declared: dict[str, _Carriages] | None = None
         self._before: dict[tuple[str, str], tuple[str, ...]] = {}
-        self._shapes: dict[str, tuple[Measured, Floats, float]] = {}
+        self._shapes: dict[tuple[str, bool], tuple[Measured, Floats, float]] = {}
         self.lane: dict[AgentId, str] = {}
         self._ends: dict[AgentId, tuple[Floats, Floats]] = {}
         self._reversed: set[AgentId] = set()
@@ -147,10 +149,12 @@ class LongVehicles:
         lane = str(vehicle.getLaneID(name))
         if lane:
             at = float(vehicle.getLanePosition(name))
-            left = float(vehicle.getLateralLanePosition(name))
-            own = self._point(lane, at, left)
-            if np.hypot(*(own - front)[:2]) <= _ON_TRACK_M:
-                way = self._way_back(name, lane, float(behind_m[-1]) - at)
+            own = _Piece(lane, self._length_m(lane), self._against(lane, at, state[2]))
+            at = own.length_m - at if own.against else at
+            line_m, heading = self._foot(own, at)
+            left = on_lane.left_m(self._api, name, line_m[:2], heading)
+            if np.hypot(*(_beside(line_m, heading, left) - front)[:2]) <= _ON_TRACK_M:
+                way = self._way_back(name, own, float(behind_m[-1]) - at)
                 places = [self._along(way, at - one, left) for one in behind_m.tolist()]
                 return [(front, lane), *places[1:]]
         ahead = np.append(frames.unit(np.radians(90.0 - state[2])), 0.0)
@@ -163,23 +167,28 @@ class LongVehicles:
                 at_m += piece.length_m
             if at_m >= 0.0:
                 break
-        return self._point(piece.lane, at_m, left_m), piece.lane
+        return _beside(*self._foot(piece, at_m), left_m), piece.lane
 
-    def _way_back(self, name: AgentId, lane: str, missing_m: float) -> list[_Piece]:
-        """The lane, and those before it, as far as the vehicle reaches or its route is known."""
-        way = [_Piece(lane, 0.0)]
+    def _way_back(self, name: AgentId, own: _Piece, missing_m: float) -> list[_Piece]:
+        """The lane, and those before it, as far as the vehicle reaches or its route is known.
+
+        On the opposite lane, to overtake, it has come from before its own edge.
+        """
+        way = [own]
         if missing_m <= 0:
             return way
         vehicle = self._api.vehicle
         route, at = vehicle.getRoute(name), int(vehicle.getRouteIndex(name))
-        edges = [*route[: max(at, 0)]]
+        edges, lane = [*route[: max(at, 0)]], own.lane
         if lane.startswith(":") and at >= 0:
             edges.append(route[at])
+        elif own.against and at >= 0:
+            lane = f"{route[at]}_0"
         for edge in reversed(edges):
-            for before in self._lanes_before(str(edge), way[-1].lane):
-                way.append(_Piece(before, self._shape(before)[2]))
+            for lane in self._lanes_before(str(edge), lane):
+                way.append(_Piece(lane, self._length_m(lane)))
                 missing_m -= way[-1].length_m
-            if missing_m <= 0 or _edge(way[-1].lane) != edge:
+            if missing_m <= 0 or _edge(lane) != edge:
                 break
         return way
 
@@ -210,23 +219,32 @@ class LongVehicles:
                         return tuple(reversed(chain))
         return ()
 
-    def _point(self, lane: str, at_m: float, left_m: float) -> Floats:
-        """(3) the point of a lane at SUMO's position, which may lie before its begin."""
-        line, z_m, length_m = self._shape(lane)
+    def _against(self, lane: str, at_m: float, angle_deg: float) -> bool:
+        """Whether a vehicle drives against its lane at SUMO's position there."""
+        _, heading = self._foot(_Piece(lane, self._length_m(lane)), at_m)
+        return on_lane.against(heading, angle_deg)
+
+    def _foot(self, piece: _Piece, at_m: float) -> tuple[Floats, float]:
+        """(3) the point of a lane at SUMO's position, which may lie before it, and its heading."""
+        line, z_m, length_m = self._shape(piece.lane, against=piece.against)
         along = at_m * line.along_m[-1] / max(length_m, 1e-6)
         point, heading = line.at(np.array(along))
-        x, y = point + left_m * np.array([-np.sin(heading), np.cos(heading)])
-        return np.array([x, y, np.interp(along, line.along_m, z_m)])
+        return np.array([*point, np.interp(along, line.along_m, z_m)]), float(heading)
 
-    def _shape(self, lane: str) -> tuple[Measured, Floats, float]:
-        if lane not in self._shapes:
-            points = np.array(self._api.lane.getShape(lane), float)
+    def _length_m(self, lane: str) -> float:
+        return self._shape(lane)[2]
+
+    def _shape(self, lane: str, *, against: bool = False) -> tuple[Measured, Floats, float]:
+        """Line and heights of a lane, as one drives along or against it, and SUMO's length."""
+        key = lane, against
+        if key not in self._shapes:
+            points = np.array(self._api.lane.getShape(lane), float)[:: -1 if against else 1]
             apart = np.concatenate([[True], np.hypot(*np.diff(points[:, :2], axis=0).T) > 1e-6])
             points = points[apart] if apart.sum() > 1 else points[:1] + np.array([[0.0], [1e-3]])
             z_m = points[:, 2] if points.shape[1] > 2 else np.zeros(len(points))
             length = float(self._api.lane.getLength(lane))
-            self._shapes[lane] = Measured(points[:, :2]), z_m, length
-        return self._shapes[lane]
+            self._shapes[key] = Measured(points[:, :2]), z_m, length
+        return self._shapes[key]
 
     def _carriages(self, name: AgentId) -> _Carriages | None:
         """What its type says, else SUMO's values for its shape; None for a stiff vehicle."""
@@ -251,6 +269,12 @@ class LongVehicles:
             for tag in _types(path):
                 usual = _BY_SHAPE.get(tag.get("guiShape", ""))
                 yield tag.get("id", ""), _stated(tag.attrib, usual)
+
+
+def _beside(point_m: Floats, heading_rad: float, left_m: float) -> Floats:
+    """(3) a point to the left of one of a line."""
+    x, y = point_m[:2] + left_m * np.array([-np.sin(heading_rad), np.cos(heading_rad)])
+    return np.array([x, y, point_m[2]])
 
 
 def _stated(values: Mapping[str, str], usual: _Carriages | None) -> _Carriages:

@@ -24,6 +24,7 @@ from deepmf_sumo.roadcheck.motion_survey import Survey, survey
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.study.moments.moment import opponents
 from deepmf_sumo.sumo.simulation import long_vehicles, network_case, simulate
+from deepmf_sumo.sumo.simulation.av import RouteAhead
 from deepmf_sumo.sumo.simulation.road_users import TrafficReader
 from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
 
@@ -353,3 +354,76 @@ def test_a_train_that_reverses_does_not_jump_in_an_episode(siding):
     case = network_case(config, 15.0, "car", duration_steps=250)
     # tests/conftest.py looks for jumps in every rollout
     simulate(case, idm.build(idm.Settings()), None, rng=np.random.default_rng(0))
+
+
+OVERTAKING = """<vType id="slow" vClass="bicycle" maxSpeed="2"/>
+<vType id="eager" vClass="truck" guiShape="truck/semitrailer" length="16" lcOpposite="100"
+ lcOvertakeDeltaSpeedFactor="-0.9"/><route id="east" edges="wm me"/>
+<vehicle id="bike" type="slow" depart="0" departPos="60" route="east"/>
+<vehicle id="t" type="eager" depart="5" departPos="{}" departSpeed="max" route="east"/>"""
+ASIDE = """<vType id="left" vClass="bus" guiShape="bus/flexible" length="18" latAlignment="left"/>
+<route id="east" edges="wm me"/>
+<vehicle id="t" type="left" depart="0" departPos="20" departSpeed="max" route="east"/>"""
+
+
+def street(folder, *options):
+    (folder / "l.nod.xml").write_text(
+        """<nodes><node id="w" x="0" y="0"/><node id="m" x="300" y="0"/>
+<node id="e" x="500" y="150"/></nodes>"""
+    )
+    edges = (
+        f'<edge id="{a}{b}" from="{a}" to="{b}" numLanes="1" speed="14"/>'
+        for a, b in ("wm", "mw", "me", "em")
+    )
+    (folder / "l.edg.xml").write_text(f"<edges>{''.join(edges)}</edges>")
+    command = [Path(sumo.SUMO_HOME) / "bin" / "netconvert", "-o", "long.net.xml"]
+    command += ["-n", "l.nod.xml", "-e", "l.edg.xml", "--no-turnarounds", "true", *options]
+    environment = {**os.environ, "SUMO_HOME": str(sumo.SUMO_HOME)}
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, env=environment)
+    return folder
+
+
+@pytest.mark.parametrize("side", [(), ("--lefthand",)], ids=["right-hand", "left-hand"])
+@pytest.mark.parametrize("begins_m", [4, 30])
+def test_one_that_overtakes_on_the_opposite_lane_does_not_turn_round(
+    tmp_path, started, side, begins_m
+):
+    folder = street(tmp_path, "--opposites.guess", "true", *side)
+    api = started(configured(folder, "over", OVERTAKING.format(begins_m)))
+    reader, opposite = TrafficReader(api), 0
+    for _ in range(300):
+        api.simulationStep()
+        frame = reader.read()
+        if "t" not in frame.ids or api.vehicle.getPosition("t")[0] > 280.0:
+            continue
+        opposite += api.vehicle.getLaneID("t") == "mw_0"
+        rows = [frame.ids.index(one) for one in ("t", "t part 2")]
+        assert np.cos(frame.heading_rad[rows]).min() > 0.9
+        (front, joint), (behind, rear) = (ends(reader, frame, one) for one in ("t", "t part 2"))
+        np.testing.assert_allclose(front, api.vehicle.getPosition("t"), atol=1e-6)
+        np.testing.assert_allclose(joint, behind, atol=0.3)
+        np.testing.assert_allclose(np.hypot(*(front - rear)), 16.0, atol=0.3)
+    assert opposite > 20
+
+
+@pytest.mark.parametrize("side", [(), ("--lefthand",)], ids=["right-hand", "left-hand"])
+def test_one_beside_the_middle_of_its_lane_is_straight(tmp_path, started, side):
+    folder = street(tmp_path, *side)
+    config = configured(folder, "aside", ASIDE)
+    config.write_text(
+        CONFIG.format("aside").replace(
+            "</input>", '</input><processing><lateral-resolution value="0.4"/></processing>'
+        )
+    )
+    api = started(config)
+    reader = TrafficReader(api)
+    for _ in range(150):
+        api.simulationStep()
+        frame = reader.read()
+    assert abs(api.vehicle.getLateralLanePosition("t")) > 0.2
+    front_m = api.vehicle.getPosition("t")
+    assert front_m[0] < 280.0
+    np.testing.assert_allclose(RouteAhead(api, "t").centre_line()[0], front_m, atol=0.01)
+    for part in ("t", "t part 2"):
+        ahead, behind = ends(reader, frame, part)
+        np.testing.assert_allclose([ahead[1], behind[1]], front_m[1], atol=0.01)
