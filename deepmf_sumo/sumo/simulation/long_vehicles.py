@@ -185,7 +185,8 @@ class LongVehicles:
         elif own.against and at >= 0:
             lane = f"{route[at]}_0"
         for edge in reversed(edges):
-            for lane in self._lanes_before(str(edge), lane):
+            for before in self._lanes_before(str(edge), lane):
+                lane = before
                 way.append(_Piece(lane, self._length_m(lane)))
                 missing_m -= way[-1].length_m
             if missing_m <= 0 or _edge(lane) != edge:
