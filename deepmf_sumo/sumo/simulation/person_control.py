@@ -89,12 +89,32 @@ class PersonControl:
                 f"SUMO walks its persons by the model {model}, which ignores where a client puts "
                 f"them; run it with --pedestrian.model {_MODEL}"
             )
-        stage = int(self._api.person.getStage(_name(agent)).type)
-        if stage in {_WAITS, _WALKS}:
+        stage = self._api.person.getStage(_name(agent))
+        if int(stage.type) not in {_WAITS, _WALKS}:
+            does = _STAGES.get(int(stage.type), "does not walk")
+            return f"{agent} {does}; SUMO lets clients move walkers alone"
+        if stop := self._comes_into(stage):
+            return (
+                f"{agent} walks to an access of the stop '{stop}', into which SUMO sends it where"
+                " its way changes"
+            )
+        return ""
+
+    def _comes_into(self, stage: Any) -> str:
+        """The stop at whose ``<access>``, on another edge, a walk ends; empty if at none.
+
+        A way that ends there sooner, or becomes another one, ends as if the person had come there:
+        then it is in the stop, where no client moves it, and for which SUMO 1.28 crashes if that
+        stage is taken away.
+        """
+        stop, edges = str(stage.destStop), stage.edges
+        if not stop or not edges:
             return ""
-        return (
-            f"{agent} {_STAGES.get(stage, 'does not walk')}; SUMO lets clients move walkers alone"
-        )
+        try:
+            lane = str(self._api.busstop.getLaneID(stop))
+        except self._api.TraCIException:  # one of another kind, which has no accesses
+            return ""
+        return stop if edge_of(lane) != edges[-1] else ""
 
     def present(self, agent: AgentId) -> bool:
         """Whether a person is on foot in the simulation."""

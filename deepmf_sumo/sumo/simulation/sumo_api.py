@@ -58,6 +58,7 @@ class SumoApi(Protocol):
     simulation: Any
     trafficlight: Any
     vehicletype: Any
+    busstop: Any
     gui: Any  # only with sumo-gui
     TraCIException: type[Exception]
     FatalTraCIError: type[Exception]

@@ -253,6 +253,42 @@ def test_who_waits_beside_the_road_is_taken_and_returns_to_where_it_waited(folde
     assert rollout.tracks.position_m[row, -1, 1] < 192.2
 
 
+ACCESS = """<additional><busStop id="stop" lane="wm_2" startPos="100" endPos="130">
+<access lane="mw_0" pos="80" length="20"/></busStop></additional>"""
+INTO_A_STOP = (
+    '<person id="p" type="walker" depart="0" departPos="20"><walk from="mw" busStop="stop"/>'
+    '<stop busStop="stop" duration="9"/></person>'
+)
+ALONG = pavements.walker("p", "mw", 20.0, arrival=80.0)
+
+
+@pytest.mark.parametrize(
+    ("walk", "refused"), [(INTO_A_STOP, "access of the stop 'stop'"), (ALONG, "")]
+)
+def test_who_walks_to_an_access_of_a_stop_is_not_taken(tmp_path, starts_sumo, walk, refused):
+    """SUMO took it for one that has come there as soon as its way was changed."""
+    pavements.build(tmp_path, walk)
+    (tmp_path / "pavements.add.xml").write_text(ACCESS)
+    net = tmp_path / "pavements.net.xml"
+    more = ["-r", str(tmp_path / "pavements.rou.xml"), "-a", str(tmp_path / "pavements.add.xml")]
+    libsumo.start([*START, "-n", str(net), *more])
+    try:
+        events = []
+        takeover = Takeover(libsumo, events, leaves=True, footways=lambda: footways_of(net))
+        libsumo.simulationStep(1.0)
+        assert refused in takeover.persons.refusal("person p")
+        for x, y, heading in way(libsumo.person.getPosition("p"), (175.0, 205.0), (175.0, 208.9)):
+            pose = Pose(x_m=x, y_m=y, heading_rad=heading, speed_mps=1.4)
+            takeover.place(1, "person p", pose, 0.0)
+            libsumo.simulationStep()
+            takeover.after_step()
+        takeover.hand_back(1, "person p")
+        libsumo.simulationStep()
+    finally:
+        libsumo.close()
+    assert [event.kind for event in events] == [("not_taken" if refused else "handed_back")]
+
+
 @pytest.mark.parametrize("model", ["jupedsim", "nonInteracting"])
 def test_models_of_pedestrians_that_ignore_clients_are_named(folder, model):
     config = pavements.build(folder, AV, pavements.walker("p", "wm me", 118))
