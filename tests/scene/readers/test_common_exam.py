@@ -285,6 +285,16 @@ def on_a_hill(height_m, climbs):
 
 
 @pytest.mark.parametrize("read", FORMATS)
+def test_a_lane_far_away_beside_one_without_heights_is_refused(read, tmp_path):
+    """Heights are looked for before the map is checked, on points along all lanes."""
+    message = by_hand.scenario()
+    for point in message.map_features[1].lane.polyline:
+        point.z = np.nan
+    message.map_features[0].lane.polyline[-1].x = 1e13
+    assert "too far away" in reason(read(message, tmp_path))
+
+
+@pytest.mark.parametrize("read", FORMATS)
 def test_tracks_without_heights_stand_on_a_road_that_climbs(read, tmp_path):
     scene = read(on_a_hill(20.0, 0.1), tmp_path)
     for row in range(len(scene.tracks.ids)):

@@ -1,5 +1,7 @@
 """Heights of tracks that have none, where roads lie above each other."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -77,3 +79,12 @@ def test_roads_without_lanes_or_with_lanes_of_a_point():
     assert not ground_m(road(), *track).any()
     point = Lane(id="point", kind="street", centre_m=np.zeros((1, 2)), z_m=np.full(1, 7.0))
     assert ground_m(road(point), *track) == pytest.approx(7.0)
+
+
+def test_a_lane_that_leads_to_and_fro_over_the_whole_map_takes_no_time():
+    ends = np.tile([-9e5, 9e5], 500)
+    points = np.column_stack([ends, np.linspace(-50.0, 50.0, len(ends))])
+    lane = Lane(id="to and fro", kind="street", centre_m=points, z_m=np.full(len(points), 5.0))
+    begin = time.process_time()
+    assert ground_m(road(lane), *straight((0.0, 0.0), (10.0, 0.0))) == pytest.approx(5.0)
+    assert time.process_time() - begin < 30.0

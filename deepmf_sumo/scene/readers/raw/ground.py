@@ -14,9 +14,12 @@ import numpy as np
 import shapely
 
 from deepmf_sumo.scene import Bools, Floats, Lane, RoadMap
+from deepmf_sumo.scene.readers.raw.motion import FARTHEST_M
 
 _POINTS_M: Final = 1.0
 """Distance of points on lanes."""
+_MOST_POINTS: Final = 1_000_000
+"""On lanes of more than 1000 km, which no recording has, they are farther apart."""
 _REACH_M: Final = 5.0
 """Lanes farther away count only where there is none within this."""
 _LEVEL_M: Final = 2.5
@@ -76,15 +79,20 @@ def lanes_with_heights(road: RoadMap, unknown: Collection[str]) -> dict[str, Lan
 def _points(road: RoadMap) -> tuple[Floats, Floats, Floats]:
     """Points (N, 2) along all lanes, their heights (N), and directions (N) in rad."""
     found = [np.zeros((0, 4))]
+    known = []
     for lane in road.lanes.values():
-        good = np.isfinite(lane.centre_m).all(-1) & np.isfinite(lane.z_m)
-        xyz = np.column_stack([lane.centre_m, lane.z_m])[good]
+        # false for NaN; lanes farther away are refused
+        good = (np.abs(lane.centre_m) < FARTHEST_M).all(-1) & np.isfinite(lane.z_m)
+        known.append(np.column_stack([lane.centre_m, lane.z_m])[good])
+    metres = sum(float(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1).sum()) for xyz in known)
+    apart_m = max(_POINTS_M, metres / _MOST_POINTS)
+    for xyz in known:
         if len(xyz) < 2:  # of one point no direction is known
             found.append(np.column_stack([xyz, np.zeros(len(xyz))]))
             continue
         step = np.diff(xyz[:, :2], axis=0)
         along = np.concatenate([[0.0], np.linalg.norm(step, axis=1).cumsum()])
-        at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / _POINTS_M)) + 1))
+        at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / apart_m)) + 1))
         segment = np.clip(np.searchsorted(along, at, side="right") - 1, 0, len(step) - 1)
         columns = [np.interp(at, along, xyz[:, axis]) for axis in range(3)]
         found.append(np.column_stack([*columns, np.arctan2(*step[segment].T[::-1])]))
