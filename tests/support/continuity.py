@@ -30,7 +30,7 @@ ON_FOOT_RAD = 0.5
 """Pedestrians turn on the spot, by at most half a turn in 0.6 s."""
 LANE_M = 4.5
 """SUMO without its sublane model moves its own vehicles to the next lane within one step."""
-TELEPORTS = {"av_teleported", "teleported"}
+TELEPORTS = {"av_teleported", "teleported", "jumped"}
 """Events by which a rollout says that SUMO moved a vehicle."""
 
 _excused: list[str] = []

@@ -1,9 +1,11 @@
 """Episodes of a user's SUMO scenario."""
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+import sumo as sumo_package
 
 from deepmf_sumo.deepmf.networks.weights import cached_predictors
 from deepmf_sumo.deepmf.policy import Settings
@@ -151,6 +153,33 @@ def test_an_av_that_sumo_teleports_ends_the_episode_where_it_stood():
     assert not rollout.tracks.valid[row, -1]
     position_m = rollout.tracks.position_m[row, NOW:-1]
     assert np.hypot(*np.diff(position_m, axis=0).T).max() < 2.0
+
+
+def test_what_sumo_moves_over_a_junction_without_lanes_inside_is_told(tmp_path):
+    """SUMO's cars are at the end of one edge, and a step later at the begin of the next."""
+    grid = [tmp_path / "grid.net.xml", "--no-internal-links", "true", "--no-turnarounds", "true"]
+    command = [Path(sumo_package.SUMO_HOME) / "bin" / "netgenerate", "--grid", "-o", *grid]
+    subprocess.run([*map(str, command), "--default.lanenumber", "3"], check=True, timeout=60)
+    (tmp_path / "cars.rou.xml").write_text(
+        '<routes><route id="r" edges="A0B0 B0C0 C0D0"/>'
+        '<vehicle id="other" route="r" depart="0"/><vehicle id="av" route="r" depart="4"/></routes>'
+    )
+    config = tmp_path / "grid.sumocfg"
+    config.write_text(
+        '<configuration><input><net-file value="grid.net.xml"/>'
+        '<route-files value="cars.rou.xml"/></input></configuration>'
+    )
+    rollout = run(network_case(config, 6.0, "av", 150, seed=0), sumo.build(sumo.Settings()))
+    told = {(one.agent_id, one.step) for one in rollout.events if one.kind == "jumped"}
+    tracks = rollout.tracks
+    moved = np.hypot(*np.moveaxis(np.diff(tracks.position_m, axis=1), -1, 0))
+    found = {
+        (tracks.ids[row], int(at) + 1)
+        for row, at in zip(*np.nonzero(moved > 5.0), strict=True)
+        if tracks.valid[row, at : at + 2].all()
+    }
+    assert {agent for agent, _ in found} == {"av", "other"}
+    assert told == found
 
 
 def test_replay_planner_needs_a_recording(config):
