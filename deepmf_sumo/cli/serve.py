@@ -163,8 +163,8 @@ def _simulations(
         try:
             done = live.attach(
                 Port(number=server.inner), prepared, stay.after(len(prepared.record.rows)),
-                stopped=lambda: stopped() or server.unused, tell=tell, watch=watch,
-                left=lambda: server.left,
+                stopped=stopped, tell=tell, watch=watch,
+                left=lambda: server.left, unused=lambda: server.unused,
             )  # fmt: skip
         except SimulationError:
             if stopped():

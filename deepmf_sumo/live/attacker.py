@@ -471,6 +471,7 @@ def attach(
     tell: Callable[[dict[str, Any]], None],
     watch: Callable[[Sequence[Session]], None] = lambda _: None,
     left: Callable[[], bool] | None = None,
+    unused: Callable[[], bool] = lambda: False,
 ) -> Attached:
     """Join a running SUMO as one more client, attack, and leave it as it was.
 
@@ -484,6 +485,7 @@ def attach(
         tell: called with each attack that is over.
         watch: called with the sessions before the first step.
         left: whether the script that drives the AV has left; None looks at SUMO's connections.
+        unused: whether it has left without a step, so that SUMO waits for it for ever.
 
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
     lost or the AV never appears; attacks before that are in the folder.
@@ -494,10 +496,13 @@ def attach(
         own, clients = _joined(api, prepared, tell, left)
         collisions = str(api.simulation.getOption("collision.action"))
         watch(own)
-        steps = Lockstep(api, own, stay, stopped)
+        steps = Lockstep(api, own, stay, lambda: stopped() or unused())
     end: str = "failed"
     try:
-        end = why = steps.run()
+        why = steps.run()
+        if why == "stopped" and not stopped():
+            why = "script_left"
+        end = why
     except KeyboardInterrupt:
         end = "stopped"
         abandon(api)

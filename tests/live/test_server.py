@@ -587,6 +587,8 @@ def test_a_client_that_leaves_before_its_first_step_starts_nothing(served, tmp_p
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 3, errors
     assert "the client left before its first step: nothing happened" in errors
+    session = json.loads((tmp_path / "live/session.json").read_text())
+    assert (session["ended"], session["switches"]) == ("script_left", [])  # no signal came
     assert not [*tmp_path.glob("live/runs/attack-*")]
 
 
