@@ -139,7 +139,7 @@ MUTATIONS = (
     ),
     Mutation(
         "right on red is an error", "judge/ladder.py",
-        "if meeting.road is None or meeting.turn_rad(0) < 0:",
+        "if meeting.road is None or may_turn_on_red(episode.case, meeting.turn_rad(0)):",
         "if meeting.road is None:",
         "judge/test_ladder.py",
     ),

@@ -163,8 +163,7 @@ def _simulations(
         try:
             done = live.attach(
                 Port(number=server.inner), prepared, stay.after(len(prepared.record.rows)),
-                stopped=stopped, tell=tell, watch=watch,
-                left=lambda: server.left, unused=lambda: server.unused,
+                stopped=stopped, tell=tell, watch=watch, client=server,
             )  # fmt: skip
         except SimulationError:
             if stopped():

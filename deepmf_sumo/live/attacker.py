@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 from zlib import crc32
 
 import numpy as np
@@ -462,6 +462,19 @@ def prepare(wish: AttackRequest, out: Path, *, overwrite: bool = False) -> Prepa
     return Prepared(wish=wish, spec=spec, policies=policies, record=record)
 
 
+class Client(Protocol):
+    """The script that drives the AV, as far as `serve` sees it.
+
+    Attributes:
+        left: whether it has left. unused: so without a step: SUMO would wait for it for ever.
+    """
+
+    @property
+    def left(self) -> bool: ...
+    @property
+    def unused(self) -> bool: ...
+
+
 def attach(
     port: Port,
     prepared: Prepared,
@@ -470,8 +483,7 @@ def attach(
     stopped: Callable[[], bool],
     tell: Callable[[dict[str, Any]], None],
     watch: Callable[[Sequence[Session]], None] = lambda _: None,
-    left: Callable[[], bool] | None = None,
-    unused: Callable[[], bool] = lambda: False,
+    client: Client | None = None,
 ) -> Attached:
     """Join a running SUMO as one more client, attack, and leave it as it was.
 
@@ -484,8 +496,7 @@ def attach(
         stopped: whether to leave now.
         tell: called with each attack that is over.
         watch: called with the sessions before the first step.
-        left: whether the script that drives the AV has left; None looks at SUMO's connections.
-        unused: whether it has left without a step, so that SUMO waits for it for ever.
+        client: the script that drives the AV; None looks at SUMO's connections.
 
     Raises UsageError for a wrong command, SimulationError if no SUMO listens, the connection is
     lost or the AV never appears; attacks before that are in the folder.
@@ -493,10 +504,11 @@ def attach(
     record = prepared.record
     api = connect(port, stopped)
     with _closed_where_it_fails(api):
-        own, clients = _joined(api, prepared, tell, left)
+        own, clients = _joined(api, prepared, tell, client)
         collisions = str(api.simulation.getOption("collision.action"))
         watch(own)
-        steps = Lockstep(api, own, stay, lambda: stopped() or unused())
+        over = stopped if client is None else lambda: stopped() or client.unused
+        steps = Lockstep(api, own, stay, over)
     end: str = "failed"
     try:
         why = steps.run()
@@ -529,7 +541,7 @@ def _joined(
     api: LiveApi,
     prepared: Prepared,
     tell: Callable[[dict[str, Any]], None],
-    left: Callable[[], bool] | None,
+    client: Client | None,
 ) -> tuple[Sequence[Session], int | None]:
     """A session for each AV, and how many other clients there are; None where that is not known."""
     wish, record = prepared.wish, prepared.record
@@ -538,11 +550,11 @@ def _joined(
         record.add(attack)
         tell(record.rows[-1])
 
-    clients = others(api) if left is None else 1  # all of them are connected by now
+    clients = others(api) if client is None else 1  # all of them are connected by now
 
     def driven() -> bool:
-        if left is not None:
-            return not left()
+        if client is not None:
+            return not client.left
         return not clients or others(api) != 0
 
     number = record.simulations + 1
