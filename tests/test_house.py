@@ -44,6 +44,6 @@ def test_deepmf_has_few_settings_and_one_mapping_of_what_studies_vary():
 
 
 def test_what_planted_defects_change_is_there_once():
-    """Else `tests.mutations` stops at the first one that has moved, when somebody runs it."""
+    """`tests.mutations` fails at a defect whose text has moved; this says so in every run."""
     found = {one.name: (house.PACKAGE / one.file).read_text().count(one.old) for one in MUTATIONS}
     assert {name: count for name, count in found.items() if count != 1} == {}

@@ -246,7 +246,7 @@ def _stood(rollout: Rollout, meeting: Meeting) -> bool:
 def _ran_light(episode: Episode, meeting: Meeting) -> bool:
     """Whether the AV passed a red light before the contact.
 
-    Not where it may turn on red: who has priority then tells.
+    Where it may turn on red that is no error by itself; priority decides.
     """
     rollout = episode.rollout
     if meeting.road is None or may_turn_on_red(episode.case, meeting.turn_rad(0)):

@@ -1,6 +1,6 @@
 """Beside somebody else's script the networks leave the cores to SUMO."""
 
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 
@@ -40,6 +40,17 @@ def test_choice_and_plans_are_made_with_one_thread():
     assert policy.plan(None) == {}
     assert inner.asked == [("reset", True), ("plan", True)]
     assert not inner.within
+
+
+def test_predictors_are_loaded_where_an_attack_begins(monkeypatch, tmp_path):
+    made = []
+    monkeypatch.setattr(attacker, "policy_of", lambda spec: made.append(Noting()) or made[-1])
+    wish = attacker.AttackRequest(avs=("ego",))
+    with closing(attacker.prepare(wish, tmp_path / "out")) as prepared:
+        [policy] = prepared.policies
+        assert made == []
+        assert policy.reset(None, np.random.default_rng(0)) == ("opponent",)
+        assert (policy.plan(None), policy.period_steps, len(made)) == ({}, 20, 1)
 
 
 def test_live_attacks_have_such_a_policy():

@@ -48,12 +48,12 @@ from deepmf_sumo.sumo.simulation.way_on import WayOn
 from deepmf_sumo.sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
+"""Time after the start in which the message looks for a missing AV."""
 _FASTER: Final = 1.15
 """A box turns about its rear axle, so its centre may be faster than SUMO's front."""
 _AHEAD_M: Final = 1.0
 _LANE_M: Final = 4.5
 """SUMO changes lanes within a step."""
-"""Time after the start in which the message looks for a missing AV."""
 
 
 @contextmanager
@@ -204,9 +204,12 @@ class TrafficWorld:
         before, self._found = self._found, now
         if before is None:
             return
-        row_of = {agent: row for row, agent in enumerate(before.ids)}
-        pairs = [(row_of[one], row) for row, one in enumerate(now.ids) if one in row_of]
-        old, new = np.array(pairs, int).reshape(-1, 2).T
+        if before.ids == now.ids:
+            old = new = np.arange(len(now.ids))
+        else:
+            row_of = {agent: row for row, agent in enumerate(before.ids)}
+            pairs = [(row_of[one], row) for row, one in enumerate(now.ids) if one in row_of]
+            old, new = np.array(pairs, int).reshape(-1, 2).T
         moved = now.position_m[new] - before.position_m[old]
         speeds = np.hypot(*before.velocity_mps[old].T), np.hypot(*now.velocity_mps[new].T)
         way_m = _FASTER * np.maximum(*speeds) * DT_S

@@ -39,6 +39,31 @@ def test_what_is_written_is_loaded(folder):
     assert "## conditional" in (folder / "card.md").read_text(encoding="utf-8")
 
 
+DAMAGES = {
+    "opponent.safetensors": None,
+    "conditional.json": None,
+    "marginal.safetensors": b"short",
+    "opponent.json": b"{",
+    "marginal.json": b'{"format_version": 99}',
+    "conditional.safetensors": b"of another training",
+}
+
+
+@pytest.mark.parametrize("file", DAMAGES)
+def test_the_check_without_torch_says_what_loading_says(folder, file):
+    weights.check(folder)
+    if DAMAGES[file] is None:
+        (folder / file).unlink()
+    else:
+        (folder / file).write_bytes(DAMAGES[file])
+    said = []
+    for read in (weights.check, weights.load):
+        with pytest.raises(WeightsError) as error:
+            read(folder)
+        said.append(str(error.value))
+    assert said[0] == said[1]
+
+
 def test_a_name_is_found_in_the_home(folder, monkeypatch):
     monkeypatch.setenv("DEEPMF_SUMO_HOME", str(folder.parent.parent))
     folder.parent.rename(folder.parent.parent / "weights")
