@@ -1,12 +1,14 @@
 import gc
 import time
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
 from deepmf_sumo.deepmf.networks.lanes import road_index
+from deepmf_sumo.report.map_layers import features
 from deepmf_sumo.scene import Lane, RoadMap
 from deepmf_sumo.scene.geometry import polylines
 from deepmf_sumo.scene.geometry.lane_map import LaneMap, per_road
@@ -138,3 +140,12 @@ def test_a_look_up_costs_about_the_same_in_a_town_twenty_times_as_large():
     for name, look_up in look_ups.items():
         once, again = (seconds(look_up, road) for road in (small, large))
         assert again < 4 * once, f"{name}: {once:.2g} s in the small town, {again:.2g} s"
+
+
+def test_a_lane_without_a_width_is_12_feet_wide_on_the_ground_and_in_pictures():
+    ends = np.array([[0.0, 0.0], [50.0, 0.0]])
+    unknown, stated = (replace(lane("a", ends), width_m=width) for width in (None, 12 * 0.3048))
+    assert features(RoadMap(lanes={"a": unknown}))[0].width_m == pytest.approx(3.7, abs=0.05)
+    for one in (unknown, stated):
+        at = np.array([[25.0, 2.3], [25.0, -2.3], [25.0, 2.4]])  # half of it, and 0.5 m
+        assert on_road(RoadMap(lanes={"a": one}), at, np.zeros(3)).tolist() == [True, True, False]
