@@ -83,7 +83,8 @@ def described(scene: Scene, settings: Settings, made: Collection[AgentId] = ()) 
         if name != scene.av_id or settings.av == "obstacle":
             for steps in _stretches(scene, row):
                 words = f"{name} (made: not in the demand)" if name in made else name
-                root.append(Comment(f" {words.replace('--', '- -')} "))
+                # no two dashes beside each other in a comment of XML
+                root.append(Comment(f" {re.sub('-(?=-)', '- ', words)} "))
                 _obstacle(root, scene, row, steps, next(numbers))
     if settings.av == "problem":
         _problem(root, scene, next(numbers))

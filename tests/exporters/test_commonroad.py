@@ -86,6 +86,15 @@ def test_one_that_comes_back_is_two_obstacles(tmp_path):
     assert not {step for step, name in found if name == "b"} & set(range(5, 10))
 
 
+@pytest.mark.parametrize("name", ["a--b", "a---b", "----", "-"])
+def test_an_id_of_dashes_leaves_the_file_well_formed(tmp_path, name):
+    rollout = collision()
+    ids = tuple(name if one == "b" else one for one in rollout.tracks.ids)
+    renamed = replace(rollout, tracks=replace(rollout.tracks, ids=ids))
+    path = written(tmp_path, renamed)
+    assert ET.parse(path).getroot().tag == "commonRoad"
+
+
 def test_lanelets_lie_beside_their_lane(tmp_path):
     root = ET.parse(written(tmp_path)).getroot()
     lanelets = list(root.iter("lanelet"))
