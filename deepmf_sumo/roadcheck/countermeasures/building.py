@@ -24,7 +24,7 @@ from deepmf_sumo.roadcheck.countermeasures import signals
 from deepmf_sumo.roadcheck.countermeasures.document import Change
 from deepmf_sumo.roadcheck.countermeasures.signals import Foes
 from deepmf_sumo.sumo.network import sumo_tools
-from deepmf_sumo.sumo.simulation import sumo_options
+from deepmf_sumo.sumo.simulation import files_read, sumo_options
 from deepmf_sumo.sumo.simulation.sumo_config import (
     Configuration,
     Traffic,
@@ -422,9 +422,9 @@ def _tree(path: Path, only: str = "") -> Any:
 
 
 def _place_named(root: ET.Element, folder: Path) -> None:
-    """Files that an additional file names beside itself are found from elsewhere, too."""
+    """Files to be read that an additional file names beside itself are found from elsewhere."""
     for element in root.iter():
-        for key in ("file", "href"):
+        for key in ("file", "href") if element.tag in files_read.NAMING else ():
             text = element.get(key, "")
             if text and (folder / text).is_file():
                 element.set(key, str((folder / text).resolve()))

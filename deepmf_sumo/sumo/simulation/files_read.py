@@ -15,8 +15,9 @@ SHOWN: Final = {"gui-settings-file", "edgedata-files", "alternative-net-file", "
 """Options whose files sumo-gui alone reads."""
 
 _LARGEST: Final = 2**34
-_NAMING: Final = re.compile(rb"<(include|rerouter|variableSpeedSign|calibrator)\b([^<>]*)")
+NAMING: Final = ("include", "rerouter", "variableSpeedSign", "calibrator")
 """Elements of SUMO's files that name another file to read; detectors name files to write."""
+_NAMING: Final = re.compile(rf"<({'|'.join(NAMING)})\b([^<>]*)".encode())
 _ATTRIBUTE: Final = re.compile(r"""\b(?:file|href)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _TAIL: Final = 4096
 

@@ -82,6 +82,38 @@ def test_programs_and_limits_change_and_nothing_else(hazards, tmp_path):
     assert runs_in_sumo(found.after)
 
 
+ADDITIONAL = """<additional>
+  <include href="speeds.add.xml"/>
+  <tlLogic id="signal6" type="static" programID="other" offset="0">{phases}</tlLogic>
+  <inductionLoop id="d" lane="stop8_west_in_0" pos="5" period="1" file="loops.xml"/>
+</additional>"""
+SPEEDS = """<additional>
+  <variableSpeedSign id="v" lanes="stop8_west_in_0"><step time="0" speed="7"/></variableSpeedSign>
+</additional>"""
+
+
+def test_files_to_be_read_are_found_and_files_to_be_written_stay_beside(hazards, tmp_path):
+    own = tmp_path / "own"
+    own.mkdir()
+    given = read_configuration(hazards).net
+    [program] = [one for one in ET.parse(given).iter("tlLogic") if one.get("id") == "signal6"]
+    phases = "".join(ET.tostring(one, "unicode") for one in program)
+    (own / "more.add.xml").write_text(ADDITIONAL.format(phases=phases))
+    (own / "speeds.add.xml").write_text(SPEEDS)
+    (own / "loops.xml").write_text("of an earlier run")
+    config = own / "c.sumocfg"
+    config.write_text(
+        f'<configuration><net-file value="{given}"/><additional-files value="more.add.xml"/>'
+        "</configuration>"
+    )
+    found = built(config, CHANGES, tmp_path)
+    assert runs_in_sumo(found.after)
+    assert (own / "loops.xml").read_text() == "of an earlier run"
+    assert (found.after.parent / "loops.xml").read_text().count("<interval") > 0
+    [included] = ET.parse(found.after.parent / "more.add.xml").iter("include")
+    assert Path(included.get("href")) == own / "speeds.add.xml"
+
+
 def elements(file):
     """Tags and attributes of all that is in a file."""
     return {(one.tag, tuple(sorted(one.attrib.items()))) for one in ET.parse(file).iter()}
