@@ -13,10 +13,10 @@ from deepmf_sumo.cli._screen import escape, filled, plain_grid, wide
 if TYPE_CHECKING:
     from deepmf_sumo.report.risk import Written
     from deepmf_sumo.results.risk.attacks import Network
-    from deepmf_sumo.results.risk.comparison import Compared
     from deepmf_sumo.results.risk.coverage import EvidenceCell
     from deepmf_sumo.results.risk.kinds import TypeRow
     from deepmf_sumo.results.risk.table import PlaceRow
+    from deepmf_sumo.results.risk.two_sides import Compared
 
 _HEADINGS: Final = (
     "where attacks were decided", "attacks", "hits", "findings", "least TTC",
@@ -100,15 +100,15 @@ def _counted_on(network: Network) -> str:
 
 def show_comparison(compared: Compared, names: tuple[str, str]) -> None:
     """What was compared, the differences, where they come from, and what to know."""
-    from deepmf_sumo.report.risk import comparison
+    from deepmf_sumo.report.risk import two_sides
 
     console = wide()
-    for line in comparison.heading(compared, names):
+    for line in two_sides.heading(compared, names):
         console.print(escape(line), soft_wrap=True)
-    console.print(filled(comparison.DIFFERENCE_HEADINGS, comparison.differences(compared)))
+    console.print(filled(two_sides.DIFFERENCE_HEADINGS, two_sides.differences(compared)))
     if compared.origins:
-        shown = comparison.origins(compared)
-        console.print(filled(comparison.ORIGIN_HEADINGS, shown[:_MOST]))
+        shown = two_sides.origins(compared)
+        console.print(filled(two_sides.ORIGIN_HEADINGS, shown[:_MOST]))
         if len(shown) > _MOST:
             console.print(f"and {len(shown) - _MOST} more with --out")
     for note in compared.notes:

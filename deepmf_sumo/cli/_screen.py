@@ -24,7 +24,7 @@ from deepmf_sumo.texts import shown
 
 if TYPE_CHECKING:
     from deepmf_sumo.live.attacker import Attached
-    from deepmf_sumo.report.comparison import ShownLine, SideBySide
+    from deepmf_sumo.report.side_by_side import ShownLine, SideBySide
     from deepmf_sumo.report.tables.layouts import TextRow as MethodRow
     from deepmf_sumo.results.findings import Count
     from deepmf_sumo.results.gate.verdict import GateVerdict

@@ -33,10 +33,10 @@ def command(
     """
     from deepmf_sumo.cli import _risk_screen
     from deepmf_sumo.cli import _screen as screen
-    from deepmf_sumo.report.risk import comparison as files
-    from deepmf_sumo.results.risk import comparison
+    from deepmf_sumo.report.risk import two_sides as files
+    from deepmf_sumo.results.risk import two_sides
 
-    compared = comparison.compare(a, b, quantities or comparison.COMPARED, confidence)
+    compared = two_sides.compare(a, b, quantities or two_sides.COMPARED, confidence)
     names = str(a), str(b)
     if form == "table":
         _risk_screen.show_comparison(compared, names)

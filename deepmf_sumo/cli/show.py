@@ -44,7 +44,7 @@ def command(
     others have none.
     """
     from deepmf_sumo.cli import _screen as screen
-    from deepmf_sumo.report import comparison
+    from deepmf_sumo.report import side_by_side
 
     screen.tell_switched_off(folders, err=form != "table")
     if failures and coverage:
@@ -58,13 +58,13 @@ def command(
     if failures:
         _show_failures(folders, form)
         return
-    groups = comparison.groups(folders)
+    groups = side_by_side.groups(folders)
     _warn([run for group in groups for run in group.runs])
     if form == "table":
-        screen.show_results(comparison.side_by_side(groups, everything=everything))
+        screen.show_results(side_by_side.side_by_side(groups, everything=everything))
         _say_made([run for group in groups for run in group.runs])
     else:
-        table = comparison.compare(groups)
+        table = side_by_side.compare(groups)
         rows = table.astype(object).where(table.notna(), None).to_dict("records")
         screen.emit(form, [{str(key): value for key, value in row.items()} for row in rows])
 

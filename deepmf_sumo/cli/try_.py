@@ -138,12 +138,12 @@ class _Asked:
 
 def _compare(out: Path) -> None:
     from deepmf_sumo.cli import _risk_screen
-    from deepmf_sumo.report.risk import comparison as files
-    from deepmf_sumo.results.risk import comparison
+    from deepmf_sumo.report.risk import two_sides as files
+    from deepmf_sumo.results.risk import two_sides
 
     before, after = (out / side for side in SIDES)
     changed = {path.name for path in after.iterdir() if path.is_file()}
-    compared = comparison.compare(before, after, changed_on_purpose=changed)
+    compared = two_sides.compare(before, after, changed_on_purpose=changed)
     names = str(before), str(after)
     _risk_screen.show_comparison(compared, names)
     files.write(out / "compared", compared, names)

@@ -33,9 +33,9 @@ from study import WISHES
 from deepmf_sumo import files
 from deepmf_sumo.errors import DeepmfError, UsageError
 from deepmf_sumo.results import run_sets
-from deepmf_sumo.results.comparison import QuantityChange
+from deepmf_sumo.results.changes import QuantityChange
 from deepmf_sumo.results.risk import attacks, table
-from deepmf_sumo.results.risk.comparison import COMPARED, CONFIDENCE, differences
+from deepmf_sumo.results.risk.two_sides import COMPARED, CONFIDENCE, differences
 from deepmf_sumo.roadcheck.screening import GUIDELINES, screen
 from deepmf_sumo.roadcheck.screening.findings import RULES, SEVERITIES, Finding
 

@@ -26,7 +26,7 @@ import yaml
 
 from deepmf_sumo import spec as specs
 from deepmf_sumo.results import gate
-from deepmf_sumo.results.comparison import LEANING
+from deepmf_sumo.results.changes import LEANING
 from deepmf_sumo.results.quantities import COMPARABLE
 from deepmf_sumo.results.reader import Results
 from deepmf_sumo.spec import FromMoments, Spec

@@ -7,7 +7,7 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.cli._sweep import map_risk
 from deepmf_sumo.report.risk import gis
 from deepmf_sumo.results.folder import RISK_FILES, Store, opened
-from deepmf_sumo.results.risk.comparison import compare
+from deepmf_sumo.results.risk.two_sides import compare
 
 from tests.support.risk_doubles import NET, Attacks, eastward, straight
 

@@ -15,7 +15,7 @@ from deepmf_sumo.errors import OutputError, SpecError, UsageError
 from deepmf_sumo.live import attacker as attacker_module
 from deepmf_sumo.live import record
 from deepmf_sumo.live.connection import shared
-from deepmf_sumo.report import comparison
+from deepmf_sumo.report import side_by_side
 from deepmf_sumo.results import gate, risk
 from deepmf_sumo.results.reader import Results
 
@@ -115,7 +115,7 @@ def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
     np.testing.assert_allclose(
         kept.unattacked().position_m[11:, 1], kept.rollout.tracks.position_m[1, 11:, 1], atol=0.1
     )
-    (line,) = comparison.compare(comparison.groups([out])).to_dict("records")
+    (line,) = side_by_side.compare(side_by_side.groups([out])).to_dict("records")
     assert (line["planner"], line["runs"], line["version"]) == ("script", 1, "S1")
     (network,) = risk.read([out])
     (attacked,) = network.attacks

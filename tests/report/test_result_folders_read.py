@@ -3,7 +3,7 @@
 import pytest
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report import comparison, figures, page
+from deepmf_sumo.report import figures, page, side_by_side
 from deepmf_sumo.results import stored
 
 WHOLE = """run_id,spec,scene,planner,adversary,perception,version,seed,opponent,contact_time_s,\
@@ -42,7 +42,7 @@ def test_a_table_that_is_cut_anywhere_is_refused(tmp_path, read):
 
 def test_so_it_is_by_table_too(tmp_path):
     with pytest.raises(UsageError, match="is cut short; write it again with --resume"):
-        comparison.groups([written(tmp_path, WHOLE[:30])])
+        side_by_side.groups([written(tmp_path, WHOLE[:30])])
 
 
 def test_columns_of_something_else_and_rows_of_another_length(tmp_path):

@@ -8,8 +8,8 @@ import pytest
 
 import deepmf_sumo
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.comparison import groups
 from deepmf_sumo.report.page import document
+from deepmf_sumo.report.side_by_side import groups
 from deepmf_sumo.results import run_sets, stored
 from deepmf_sumo.results.result import COLUMNS
 from deepmf_sumo.spec.tasks import is_run_id, run_id_of

@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from deepmf_sumo.errors import UsageError, nearest
 from deepmf_sumo.results import frames
-from deepmf_sumo.results.comparison import QuantityChange, change, leaning
+from deepmf_sumo.results.changes import QuantityChange, change, leaning
 from deepmf_sumo.results.quantities import (
     COMPARABLE,
     RULES,
@@ -427,7 +427,7 @@ def compare(wanted: Baseline, new: RunSet, old: RunSet) -> list[QuantityChange]:
 def leanings(
     wanted: Baseline, new: RunSet, old: RunSet, found: Sequence[QuantityChange]
 ) -> list[QuantityChange]:
-    """Judged numbers that are worse in more pairs than chance explains, see `comparison.leaning`.
+    """Judged numbers that are worse in more pairs than chance explains, see `changes.leaning`.
 
     Not those of which ``found``, the comparisons, says so already. Empty without pairs.
     """

@@ -18,7 +18,7 @@ import pandas as pd
 from deepmf_sumo import files
 from deepmf_sumo.errors import Ending, UsageError, exit_code
 from deepmf_sumo.results import run_sets, setups
-from deepmf_sumo.results.comparison import LEANING, QuantityChange
+from deepmf_sumo.results.changes import LEANING, QuantityChange
 from deepmf_sumo.results.frames import rows_of
 from deepmf_sumo.results.gate.own_hits import SameAttacks
 from deepmf_sumo.results.gate.thresholds import (

@@ -13,7 +13,7 @@ import pandas as pd
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.judge.accident_types import ACCIDENT_TYPES
-from deepmf_sumo.results.comparison import change
+from deepmf_sumo.results.changes import change
 from deepmf_sumo.results.findings import NOT_JUDGED
 from deepmf_sumo.results.matching import KEYS, Matched
 from deepmf_sumo.results.quantities import share

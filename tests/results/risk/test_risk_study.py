@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.cli import main
-from deepmf_sumo.results.risk import comparison
+from deepmf_sumo.results.risk import two_sides
 
 from tests.support import gate_doubles
 
@@ -32,14 +32,14 @@ def attack(config, out, seed, moments, *more):
 def alarms(old, new, wanted):
     """Whether any of the compared quantities is told to be different that way."""
     sides = (gate_doubles.results_of(side, Path()) for side in (old, new))
-    found = comparison.differences(*sides, comparison.COMPARED, 0.95)
+    found = two_sides.differences(*sides, two_sides.COMPARED, 0.95)
     return any(one.state in wanted for one in found)
 
 
 def runs_of(folder):
     """Rows with the ids by which the two sides are paired."""
-    side = comparison._side(folder)
-    return comparison._alike(side, {"planner"}).runs.to_dict("records")
+    side = two_sides._side(folder)
+    return two_sides._alike(side, {"planner"}).runs.to_dict("records")
 
 
 def sampled(runs, draw):

@@ -5,7 +5,7 @@ import pytest
 from deepmf_sumo.results import run_sets
 from deepmf_sumo.results.gate import thresholds
 from deepmf_sumo.results.gate.thresholds import Baseline
-from deepmf_sumo.results.risk import comparison as risk
+from deepmf_sumo.results.risk import two_sides as risk
 from deepmf_sumo.results.stored import result_of
 from deepmf_sumo.study.plans import tables
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results import run_sets, sessions
-from deepmf_sumo.results.comparison import QuantityChange, change, leaning
+from deepmf_sumo.results.changes import QuantityChange, change, leaning
 from deepmf_sumo.results.quantities import COMPARABLE, no_quantity
 from deepmf_sumo.results.reader import MISSING, Run, judged_before, without_ladder
 from deepmf_sumo.results.risk.attacks import net_digest

@@ -11,7 +11,7 @@ import pytest
 from deepmf_sumo import tables
 from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.comparison import compare, groups, side_by_side
+from deepmf_sumo.report.side_by_side import compare, groups, side_by_side
 from deepmf_sumo.results.result import COLUMNS
 
 from tests.support import gate_doubles

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.errors import UsageError
-from deepmf_sumo.report.risk import comparison as files
+from deepmf_sumo.report.risk import two_sides as files
 from deepmf_sumo.results import statistics
-from deepmf_sumo.results.risk import comparison
+from deepmf_sumo.results.risk import two_sides
 from deepmf_sumo.results.risk.origins import DIMENSIONS, origins
 
 from tests.support import gate_doubles
@@ -42,7 +42,7 @@ def drawn(rng, moments, worse=0.0):
 
 
 def states(old, new):
-    found = comparison.differences(old, new, comparison.COMPARED, 0.95)
+    found = two_sides.differences(old, new, two_sides.COMPARED, 0.95)
     return {one.quantity: one.state for one in found}
 
 
@@ -65,7 +65,7 @@ def test_a_worse_planner_is_found_by_many_small_changes():
     wild[:3] = 8.0
     old = side({"required_braking_mps2": calm + wild})
     new = side({"required_braking_mps2": calm + 0.2 + wild[::-1]})
-    found = comparison.differences(old, new, ("required_braking_mps2",), 0.95)
+    found = two_sides.differences(old, new, ("required_braking_mps2",), 0.95)
     assert {one.quantity: one.state for one in found} == {
         "required_braking_mps2": "cannot tell",
         "pairs with worse required_braking_mps2": "worse",
@@ -81,7 +81,7 @@ def test_a_wide_interval_says_nothing():
     told = {}
     for name, change in {"wide": wild, "tiny": 0.01 * np.sign(wild), "none": 0 * wild}.items():
         sides = (side({"min_gap_m": calm}), side({"min_gap_m": calm + change}))
-        [found, leaning] = comparison.differences(*sides, ("min_gap_m",), 0.95)
+        [found, leaning] = two_sides.differences(*sides, ("min_gap_m",), 0.95)
         told[name] = files._state(found, "attacked moment")
         if name == "wide":
             assert found.state == "cannot tell"
@@ -98,7 +98,7 @@ def test_a_wide_interval_says_nothing():
 def test_a_mean_of_zero_says_how_many_would_show_that_it_is_small():
     old, zero = np.arange(24.0), 0.2 * np.tile([1.0, -1.0], 12)
     sides = side({"min_gap_m": old}), side({"min_gap_m": old + zero})
-    found, leaning = comparison.differences(*sides, ("min_gap_m",), 0.95)
+    found, leaning = two_sides.differences(*sides, ("min_gap_m",), 0.95)
     assert found.found.difference.mean == pytest.approx(0.0, abs=1e-9)
     repeated = np.tile(zero, 2)[: found.needed, None]
     assert statistics.paired(repeated, 0.975, 20.0).high < 2
@@ -109,7 +109,7 @@ def test_a_mean_of_zero_says_how_many_would_show_that_it_is_small():
 
 def test_too_few_pairs_are_told_with_how_many_are_needed():
     few = side({"min_gap_m": [1.0, 2.0, 3.0]})
-    found = comparison.differences(few, few, ("min_gap_m",), 0.95)
+    found = two_sides.differences(few, few, ("min_gap_m",), 0.95)
     assert [files._state(one, "attacked moment") for one in found] == [
         "cannot tell; at least 42 attacked moments would",
         "cannot tell; at least 20 attacked moments would",
@@ -134,7 +134,7 @@ def test_two_planners_are_paired_and_hits_come_from_places(tmp_path):
     """A is hit at even moments (x = -90 m), B at all (odd ones at x = -50 m)."""
     a = folder(tmp_path / "a", {0, 2, 4})
     b = folder(tmp_path / "b", {0, 2, 4, *range(1, 12, 2)}, planner="cautious")
-    found = comparison.compare(a, b)
+    found = two_sides.compare(a, b)
     assert found.pairs == 12
     assert found.differs == {"planner": (("idm lane",), ("cautious",))}
     by_place = {one.value: one.hits for one in found.origins if one.dimension == "place"}
@@ -165,7 +165,7 @@ def test_two_networks_with_few_common_moments_say_so(tmp_path):
     b = Attacks(tmp_path / "b")
     for number in range(9, 20):
         b.add(f"car{number}-30s", av=eastward(), opponent=eastward(), spec="after", network="after")
-    found = comparison.compare(a, tmp_path / "b")
+    found = two_sides.compare(a, tmp_path / "b")
     assert found.pairs == 3
     assert set(found.differs) == {"network", "spec", "method"}
     assert any("8 of 11 runs have no partner" in note for note in found.notes)
@@ -176,7 +176,7 @@ def test_several_runs_of_one_moment_are_averaged_and_told(tmp_path):
     """A has two planners, B one of them: each moment counts once."""
     a = folder(tmp_path / "a" / "first", {0, 1})
     folder(tmp_path / "a" / "second", {0, 1}, planner="cautious")
-    found = comparison.compare(a.parent, folder(tmp_path / "b", {0, 1}))
+    found = two_sides.compare(a.parent, folder(tmp_path / "b", {0, 1}))
     assert found.pairs == 12
     assert "A holds several runs of one moment and seed: their means are compared" in found.notes
     counts = {one.quantity: one.found.count for one in found.differences}
@@ -185,7 +185,7 @@ def test_several_runs_of_one_moment_are_averaged_and_told(tmp_path):
 
 def test_hits_on_recorded_scenes_come_from_kinds_alone(tmp_path):
     a, b = (folder(tmp_path / name, {0, 1}, network=None) for name in "ab")
-    found = comparison.compare(a, b)
+    found = two_sides.compare(a, b)
     assert found.pairs == 12
     assert {one.dimension for one in found.origins} == {"accident", "sector", "worth"}
 
@@ -194,11 +194,11 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
     a = folder(tmp_path / "a", {0})
     b = folder(tmp_path / "b", {0}, version="0.2.0")
     with pytest.raises(UsageError, match=r"made by version 0\.1\.0"):
-        comparison.compare(a, b)
+        two_sides.compare(a, b)
     with pytest.raises(UsageError, match="'speed' is not a quantity"):
-        comparison.compare(a, a, ("speed",))
+        two_sides.compare(a, a, ("speed",))
     with pytest.raises(UsageError, match="is not a result folder"):
-        comparison.compare(a, tmp_path / "a" / "runs")
+        two_sides.compare(a, tmp_path / "a" / "runs")
 
 
 def test_settings_are_told_where_both_planners_have_them(tmp_path):
@@ -208,7 +208,7 @@ def test_settings_are_told_where_both_planners_have_them(tmp_path):
         out = Attacks(tmp_path / name)
         both = {"planner": own, "adversary": {}}
         out.add("car-3s", av=eastward(), opponent=eastward(), settings=both)
-    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    found = two_sides.compare(tmp_path / "a", tmp_path / "b")
     assert found.differs == {"planner.accel_mps2": (("not set",), ("2.0",))}
 
 
@@ -225,18 +225,18 @@ def test_settings_of_the_attack_that_differ_are_named(tmp_path):
     a = attacked(tmp_path / "a", period_s=(1.0, 1.0), rule=("expected", "expected"))
     b = attacked(tmp_path / "b", period_s=(2.0, 2.0), rule=("expected", "expected"))
     told = "the attack is set up differently (adversary.period_s: 1.0 in A, 2.0 in B)"
-    assert any(note.startswith(told) for note in comparison.compare(a, b).notes)
-    assert not any("set up differently" in note for note in comparison.compare(a, a).notes)
+    assert any(note.startswith(told) for note in two_sides.compare(a, b).notes)
+    assert not any("set up differently" in note for note in two_sides.compare(a, a).notes)
 
 
 def test_whom_the_av_meets_is_no_setting_of_the_attack(tmp_path):
     """With `adversary.opponent=met` each moment has an opponent of its own."""
     a = attacked(tmp_path / "a", opponent=("car7", "car8"))
     b = attacked(tmp_path / "b", opponent=("car7", "bus1"))
-    assert not any("set up differently" in note for note in comparison.compare(a, b).notes)
+    assert not any("set up differently" in note for note in two_sides.compare(a, b).notes)
     c = attacked(tmp_path / "c", opponent=("argmax", "argmax"))
     d = attacked(tmp_path / "d", opponent=("sample", "sample"))
-    [note] = [one for one in comparison.compare(c, d).notes if "set up differently" in one]
+    [note] = [one for one in two_sides.compare(c, d).notes if "set up differently" in one]
     assert "(adversary.opponent: argmax in A, sample in B)" in note
 
 
@@ -245,7 +245,7 @@ def test_runs_without_a_partner_are_counted_by_moments(tmp_path):
     for name in "ab":
         for part in ("first", "second"):
             Attacks(tmp_path / name / part).add("car-3s", av=eastward(), opponent=eastward())
-    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    found = two_sides.compare(tmp_path / "a", tmp_path / "b")
     assert (found.runs, found.pairs) == ((2, 2), 1)
     assert not any("no partner" in note for note in found.notes)
 
@@ -256,7 +256,7 @@ def test_runs_that_are_not_there_yet_differ_in_nothing(tmp_path):
         out.add("car-3s", av=eastward(), opponent=eastward())
     out.keys["city--car-9s--0"] = "never begun"
     out.write()
-    found = comparison.compare(tmp_path / "a", tmp_path / "b")
+    found = two_sides.compare(tmp_path / "a", tmp_path / "b")
     assert (found.differs, found.pairs) == ({}, 1)
     assert "1 runs of B failed, timed out or are missing, and are not compared" in found.notes
 
@@ -270,5 +270,5 @@ def test_hits_that_an_earlier_version_judged_by_plans_are_told_apart(tmp_path):
 
     new, old = folder("new", "episode"), folder("old", None)
     said = "an earlier version judged 2 of 4 runs"
-    assert any(said in one for one in comparison.compare(old, new).notes)
-    assert not any("earlier version" in one for one in comparison.compare(new, new).notes)
+    assert any(said in one for one in two_sides.compare(old, new).notes)
+    assert not any("earlier version" in one for one in two_sides.compare(new, new).notes)

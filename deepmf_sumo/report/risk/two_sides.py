@@ -6,12 +6,12 @@ from typing import Any, Final
 from deepmf_sumo import files, tables
 from deepmf_sumo.errors import OutputError
 from deepmf_sumo.report.table import SECTORS, counted
-from deepmf_sumo.results.comparison import QuantityChange
+from deepmf_sumo.results.changes import QuantityChange
 from deepmf_sumo.results.gate.verdict import difference, figure
 from deepmf_sumo.results.matching import Matched
 from deepmf_sumo.results.quantities import RATE
-from deepmf_sumo.results.risk.comparison import Compared
 from deepmf_sumo.results.risk.origins import HitOrigin
+from deepmf_sumo.results.risk.two_sides import Compared
 
 DIFFERENCES, ORIGINS, TEXT = "differences.csv", "origins.csv", "comparison.md"
 _MADE: Final = {DIFFERENCES, ORIGINS, TEXT}

@@ -6,7 +6,7 @@ from scipy.stats import binom
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results import statistics
-from deepmf_sumo.results.comparison import change
+from deepmf_sumo.results.changes import change
 from deepmf_sumo.results.gate import thresholds
 from deepmf_sumo.results.gate.thresholds import Baseline
 from deepmf_sumo.results.quantities import COMPARABLE
