@@ -31,7 +31,7 @@ def announce_moments(request: MomentRequest, found: FoundMoments) -> None:
             click.echo(shown(line), err=True)
         return
     span = f"{found.begin_s:.12g} to {found.until_s:.12g} s"
-    limit = "the limit of vehicle steps is reached; " * (request.scouting.until_s is None)
+    limit = "the limit of vehicle steps is reached; " * (request.survey.until_s is None)
     further = "" if found.complete or wish.at_s or wish.again else f" ({limit}{wish.later})"
     seen = counted(found.vehicles, "vehicle")
     click.echo(shown(f"{name}: {seen} from {span}{further}{_attacked_from(found)}"), err=True)

@@ -14,7 +14,7 @@ from deepmf_sumo.study.moments import search
 from deepmf_sumo.study.moments.search import names_of
 from deepmf_sumo.sumo.simulation import demand
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
-from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
+from deepmf_sumo.sumo.simulation.traffic_survey import TrafficSurvey, survey_traffic
 
 from tests.support import crossing_network, tiny_network
 
@@ -55,8 +55,8 @@ def test_times_are_kept_and_nothing_later_is_looked_at(tiny, tmp_path, capsys):
 
 
 def test_a_late_survey_lets_sumo_drive_unseen_first(tiny):
-    scouting = Scouting(config=tiny / "tiny.sumocfg", sumo_options=(), seed=1)
-    whole, late = scout(scouting), scout(replace(scouting, from_s=12.0))
+    survey = TrafficSurvey(config=tiny / "tiny.sumocfg", sumo_options=(), seed=1)
+    whole, late = survey_traffic(survey), survey_traffic(replace(survey, from_s=12.0))
     assert late.begin_s == 2.0
     assert late.time_s.min() == 3.0
     same = whole.time_s >= 3.0
@@ -115,7 +115,7 @@ def test_nobody_to_attack_is_a_line_an_empty_folder_and_no_failure(tiny, tmp_pat
 )
 def test_refusals_are_one_line(tiny, tmp_path, capsys, monkeypatch, more, message, code):
     if "--nonsense" not in more:  # which SUMO alone knows
-        monkeypatch.setattr(search, "scout", None)
+        monkeypatch.setattr(search, "survey_traffic", None)
         monkeypatch.setattr(search.workers, "run", None)
     assert attack(tiny, tmp_path / "out", *more) == code
     errors = capsys.readouterr().err.strip().splitlines()

@@ -40,13 +40,13 @@ from deepmf_sumo.sumo.network.sumo_net import NetFile, read_once
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.sumo.simulation import demand
 from deepmf_sumo.sumo.simulation.sumo_config import Configuration, read_configuration
-from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Scouting, scout
+from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, TrafficSurvey, survey_traffic
 from deepmf_sumo.texts import of_cell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
-    scouting: Scouting
+    survey: TrafficSurvey
     wish: WantedMoments
     area: AttackArea | None
     answer: Path
@@ -58,7 +58,7 @@ class MomentRequest:
 
     configuration: Configuration
     spec: Spec
-    scouting: Scouting
+    survey: TrafficSurvey
     wish: WantedMoments
     area: AttackArea | None = None
 
@@ -99,7 +99,7 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
     area = area_of(asked, configuration.net, wish.named)
     if area is not None:
         wish = replace(wish, where=str(area))
-    scouting = Scouting(
+    survey = TrafficSurvey(
         config=source.network,
         sumo_options=source.sumo_options,
         seed=spec.seed,
@@ -110,12 +110,12 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
         people=people == "existing",
     )
     return MomentRequest(
-        configuration=configuration, spec=spec, scouting=scouting, wish=wish, area=area
+        configuration=configuration, spec=spec, survey=survey, wish=wish, area=area
     )
 
 
 def find(
-    scouting: Scouting,
+    survey: TrafficSurvey,
     wish: WantedMoments,
     timeout_s: float | None = None,
     area: AttackArea | None = None,
@@ -123,21 +123,21 @@ def find(
     """Simulate the configuration once, and choose moments of it.
 
     Where the wish names times, nothing later than attacks at them is looked at, unless
-    ``scouting`` says so.
+    ``survey`` says so.
 
     Raises SimulationError, with SUMO's own words, where it cannot be run, and UsageError where the
     wish names a vehicle, a type or a time that is not in the traffic.
     """
     times = wish.at_s or tuple(time_s for _, time_s in wish.again)
-    scouting = replace(scouting, at_s=times)
-    if times and scouting.until_s is None:
-        scouting = replace(scouting, until_s=max(times) + wish.duration_s + EVERY_S)
+    survey = replace(survey, at_s=times)
+    if times and survey.until_s is None:
+        survey = replace(survey, until_s=max(times) + wish.duration_s + EVERY_S)
     with tempfile.TemporaryDirectory(prefix="deepmf-sumo-") as folder:
         answer_file = Path(folder) / "found.json"
-        search = _Search(scouting=scouting, wish=wish, area=area, answer=answer_file)
+        search = _Search(survey=survey, wish=wish, area=area, answer=answer_file)
         (ending,) = workers.run(_search, [search], jobs=1, timeout_s=timeout_s)
         if ending.status != "done":
-            raise SimulationError(f"SUMO cannot run '{scouting.config}': {ending.reason}.")
+            raise SimulationError(f"SUMO cannot run '{survey.config}': {ending.reason}.")
         answer = json.loads(search.answer.read_text("utf-8"))
     if "error" in answer:
         raise (UsageError if answer["usage"] else SimulationError)(answer["error"])
@@ -147,10 +147,10 @@ def find(
 def _search(search: _Search) -> None:
     """The worker's part."""
     streams.silence()  # what SUMO prints is in its errors, too
-    scouting = search.scouting
+    survey = search.survey
     try:
-        sightings = scout(scouting)
-        file = read_configuration(scouting.config, scouting.sumo_options).net
+        sightings = survey_traffic(survey)
+        file = read_configuration(survey.config, survey.sumo_options).net
         net = read_once(file)
         if len(sightings.z_m) and np.ptp(sightings.z_m) >= CLEARANCE_M:
             sightings = replace(sightings, ground=ground_of(road_of_net(file)))

@@ -87,7 +87,7 @@ def run_specs(
 
 
 def _found(request: MomentRequest, options: batch.Options, announce: Announce) -> FoundMoments:
-    found = moments.find(request.scouting, request.wish, options.timeout_s, request.area)
+    found = moments.find(request.survey, request.wish, options.timeout_s, request.area)
     announce(request, found)
     return found
 

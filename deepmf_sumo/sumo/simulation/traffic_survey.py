@@ -47,7 +47,7 @@ _PARKED: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scouting:
+class TrafficSurvey:
     """What to survey.
 
     Attributes:
@@ -132,17 +132,17 @@ class Sightings:
     walker_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
 
-def scout(scouting: Scouting) -> Sightings:
+def survey_traffic(survey: TrafficSurvey) -> Sightings:
     """Run the configuration once and note all vehicles.
 
     Raises SimulationError, with SUMO's own message, if it cannot be run.
     """
-    configuration = read_configuration(scouting.config, scouting.sumo_options)
+    configuration = read_configuration(survey.config, survey.sumo_options)
     warned: list[str] = []
-    with begun(Traffic(configuration=configuration, seed=scouting.seed), warned=warned) as api:
-        corners = (api.simulation.convertGeo(*one, fromGeo=True) for one in scouting.corners)
+    with begun(Traffic(configuration=configuration, seed=survey.seed), warned=warned) as api:
+        corners = (api.simulation.convertGeo(*one, fromGeo=True) for one in survey.corners)
         projected = tuple((float(x), float(y)) for x, y in corners)
-        sightings = _scout(api, scouting, configuration)
+        sightings = _surveyed(api, survey, configuration)
     return replace(sightings, projected_m=projected, warnings=tuple(warned))
 
 
@@ -164,14 +164,14 @@ def growth(number: Sequence[int] | Floats) -> Growth:
     return Growth(third=quarters[max(len(quarters) - 2, 0)], last=quarters[-1])
 
 
-def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Sightings:
-    notes = _Columns(api, people=scouting.people)
-    begin = now = _begun(api, scouting.from_s)
+def _surveyed(api: SumoApi, survey: TrafficSurvey, configuration: Configuration) -> Sightings:
+    notes = _Columns(api, people=survey.people)
+    begin = now = _begun(api, survey.from_s)
     ends = configuration.end_s if configuration.end_s is not None else math.inf
-    until = min(ends, scouting.until_s if scouting.until_s is not None else math.inf)
+    until = min(ends, survey.until_s if survey.until_s is not None else math.inf)
     spent, complete, persons = 0, False, False
     seen: list[int] = []
-    for moment in _moments(begin, scouting.at_s):
+    for moment in _moments(begin, survey.at_s):
         if moment > until + DT_S / 2:
             complete = until == ends
             break
@@ -181,17 +181,17 @@ def _scout(api: SumoApi, scouting: Scouting, configuration: Configuration) -> Si
         now = moment
         persons = persons or bool(api.person.getIDCount())
         complete = api.simulation.getMinExpectedNumber() == 0
-        if complete or (scouting.until_s is None and _enough(scouting, spent, seen)):
+        if complete or (survey.until_s is None and _enough(survey, spent, seen)):
             break
     waiting = len(api.simulation.getPendingVehicles())
     return notes.sightings(begin, now, complete=complete, persons=persons, waiting=waiting)
 
 
-def _enough(scouting: Scouting, spent: int, seen: list[int]) -> bool:
+def _enough(survey: TrafficSurvey, spent: int, seen: list[int]) -> bool:
     """Whether a survey without an end may end: after vehicle steps, with vehicles at each look."""
     if spent <= MOST_VEHICLE_STEPS:
         return False
-    return spent > MOST_WHILE_GROWING or not (scouting.settles and growth(seen).goes_on)
+    return spent > MOST_WHILE_GROWING or not (survey.settles and growth(seen).goes_on)
 
 
 def _begun(api: SumoApi, from_s: float | None) -> float:

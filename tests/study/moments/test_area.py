@@ -27,7 +27,7 @@ def config(tmp_path_factory, starts_sumo):
 def found(config, **wanted):
     [document] = search.documents([config], {}, count=4, from_s=0.0, **wanted)
     request = search.request(search.spec_of(document), by_option=True)
-    return search.find(request.scouting, request.wish, area=request.area)
+    return search.find(request.survey, request.wish, area=request.area)
 
 
 def test_which_vehicles_are_in_an_area(config):

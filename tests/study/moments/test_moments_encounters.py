@@ -10,7 +10,7 @@ from deepmf_sumo.study.moments.encounters import NEAR_S, Passages, _apart, encou
 from deepmf_sumo.study.moments.moment import WantedMoments
 from deepmf_sumo.study.moments.search import find
 from deepmf_sumo.sumo.network.sumo_net import read_net
-from deepmf_sumo.sumo.simulation.traffic_survey import DemandVehicle, Scouting, Sightings
+from deepmf_sumo.sumo.simulation.traffic_survey import DemandVehicle, Sightings, TrafficSurvey
 
 from tests.support.crossing_network import build
 
@@ -276,21 +276,21 @@ def test_junctions_have_equally_many_attacks_where_encounters_are_preferred(net)
 
 def test_moments_of_a_configuration_begin_before_its_encounters(config):
     """`over1` and `up1` are at the crossing at once; the others follow each other."""
-    scouting = Scouting(config=config, sumo_options=(), seed=1)
-    found = find(scouting, WantedMoments(count=2, prefer="encounters"))
+    survey = TrafficSurvey(config=config, sumo_options=(), seed=1)
+    found = find(survey, WantedMoments(count=2, prefer="encounters"))
     assert {one.av for one in found.moments} == {"over1", "up1"}
     assert {one.encounter_s for one in found.moments} == {1.2}
     assert {one.av: one.meets for one in found.moments} == {"over1": "up1", "up1": "over1"}
     # over the crossing at 10.1 and 11.7 s; the two are farther apart than 50 m
     assert all(2.0 < one.start_s < 9.0 and one.around == 0 for one in found.moments)
-    assert find(scouting, WantedMoments(count=2, prefer="encounters")) == found
-    late = find(scouting, WantedMoments(count=1, prefer="encounters", av="over2"))
+    assert find(survey, WantedMoments(count=2, prefer="encounters")) == found
+    late = find(survey, WantedMoments(count=1, prefer="encounters", av="over2"))
     assert [(one.encounter_s, one.meets) for one in late.moments] == [(None, None)]
 
 
 def test_encounters_are_known_of_moments_that_are_asked_for(config):
-    scouting = Scouting(config=config, sumo_options=(), seed=1)
-    asked = find(scouting, WantedMoments(count=1, prefer="encounters", at_s=(26.0,)))
+    survey = TrafficSurvey(config=config, sumo_options=(), seed=1)
+    asked = find(survey, WantedMoments(count=1, prefer="encounters", at_s=(26.0,)))
     assert [(one.start_s, one.encounter_s) for one in asked.moments] == [(26.0, None)]
-    again = find(scouting, WantedMoments(count=2, again=(("over1", 9.0), ("up1", 10.0))))
+    again = find(survey, WantedMoments(count=2, again=(("over1", 9.0), ("up1", 10.0))))
     assert [(one.av, one.encounter_s) for one in again.moments] == [("over1", 1.2), ("up1", 1.2)]

@@ -26,7 +26,7 @@ from deepmf_sumo.study.moments.moment import opponents
 from deepmf_sumo.sumo.simulation import long_vehicles, network_case, simulate
 from deepmf_sumo.sumo.simulation.av import RouteAhead
 from deepmf_sumo.sumo.simulation.road_users import TrafficReader
-from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
+from deepmf_sumo.sumo.simulation.traffic_survey import TrafficSurvey, survey_traffic
 
 NODES = """<nodes><node id="w" x="-200" y="0"/><node id="mid" x="0" y="0" type="priority"/>
 <node id="n" x="0" y="200"/><node id="e" x="200" y="0"/></nodes>"""
@@ -260,7 +260,7 @@ def test_who_can_attack_is_the_same_when_moments_are_chosen_and_in_an_episode(fo
         f'<vehicle id="{one}" type="{one}" depart="{4 * at}"><route edges="in on"/></vehicle>'
         for at, one in enumerate(types)
     ))  # fmt: skip
-    seen = scout(Scouting(config=config, sumo_options=(), seed=0))
+    seen = survey_traffic(TrafficSurvey(config=config, sumo_options=(), seed=0))
     able = {seen.bodies[number].id for number in seen.vehicle[opponents(seen)]}
     api = started(config)
     reader, driven = TrafficReader(api), set()

@@ -7,7 +7,7 @@ from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.planners import idm
 from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.simulation import network_case, simulate, traffic_survey
-from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
+from deepmf_sumo.sumo.simulation.traffic_survey import TrafficSurvey, survey_traffic
 
 from tests.support.tiny_network import build
 
@@ -27,7 +27,7 @@ def config(tmp_path_factory):
 
 
 def look(config, *options, **more):
-    return scout(Scouting(config=config, sumo_options=options, seed=0, **more))
+    return survey_traffic(TrafficSurvey(config=config, sumo_options=options, seed=0, **more))
 
 
 def test_everybody_is_seen_once_a_second_and_when_asked(config):
