@@ -14,6 +14,8 @@ from deepmf_sumo.study.shrink.failure import RecordedHit
 AFTER_STEPS: Final = 20
 """Simulated beyond the contact: a planner that avoids it is not to be hit a second later."""
 _DIGITS, _DIGITS_RAD = 4, 5
+_OF_THE_SEARCH: Final = frozenset({"profile", "opponents", "turns", "budget", "weights"})
+"""Keys of a spec that say how its attack was found."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,9 +59,13 @@ def path_of(candidate: Candidate, failure: RecordedHit, undisturbed: Floats | No
 
 
 def spec_values(candidate: Candidate, failure: RecordedHit, path: Floats) -> dict[str, Any]:
-    """The spec of a candidate, as it is written; paths are absolute."""
-    spec, source = failure.spec, failure.task.resolved()["source"]
-    source = {key: value for key, value in source.items() if value not in ([], None)}
+    """The spec of a candidate, as it is written; paths are absolute.
+
+    It is the run's own but for what found the attack, so that the planner sees what it saw.
+    """
+    spec, values = failure.spec, failure.task.resolved()
+    values = {key: value for key, value in values.items() if key not in _OF_THE_SEARCH}
+    source = {key: value for key, value in values["source"].items() if value not in ([], None)}
     later = round(spec.source.start_s + candidate.begin * DT_S, 3)
     if later or isinstance(spec.source, FromNetwork):
         source["start_s"] = later
@@ -71,15 +77,12 @@ def spec_values(candidate: Candidate, failure: RecordedHit, path: Floats) -> dic
         [round(x, _DIGITS), round(y, _DIGITS), round(float(frames.wrap(heading)), _DIGITS_RAD)]
         for x, y, heading in path.tolist()
     ]
-    return {
+    return values | {
         "version": 3,
         "name": f"{failure.run_id[:180]} shrunk",
         "source": source,
         "duration_s": round((candidate.last - candidate.begin) * DT_S, 3),
-        "traffic": spec.traffic,
-        "planner": spec.planner.model_dump(mode="json"),
         "adversary": {"name": "trajectory", "agent": failure.opponent, "poses": rounded},
-        "seed": spec.seed,
         "expect": {"av_collision": False},
     }
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from deepmf_sumo.scene import Plan
+from deepmf_sumo.spec import Spec
+from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.shrink import candidate as module
 from deepmf_sumo.study.shrink.candidate import Candidate, changes_of_plan, path_of
 from deepmf_sumo.study.shrink.failure import RecordedHit
@@ -46,6 +48,35 @@ def failure(*plans, driven=None):
 @pytest.fixture
 def whole():
     return Candidate(last=STEPS, contact=STEPS, only=None, plans=0)
+
+
+SPEC = {
+    "version": 3, "name": "r", "seed": 7, "duration_s": 8.0, "av_sees": "in_sight",
+    "source": {"start_s": 5.0, "av": {"vehicle": "av"},
+               "sumo_options": ["--step-length", "0.05"]},
+    "planner": {"name": "idm", "perception": "corridor"},
+    "adversary": {"name": "deepmf", "tries": 4}, "profile": "any", "opponents": "in_turn",
+    "turns": {"longest_s": 9.0}, "budget": {"simulations": 3}, "weights": "womd",
+}  # fmt: skip
+OF_THE_ATTACK = {
+    "name", "duration_s", "adversary", "expect", "profile", "opponents", "turns", "budget",
+    "weights",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seen", ["in_sight", "all"])
+def test_a_spec_is_that_of_the_run_but_for_the_attack(whole, seen, tmp_path):
+    network = tmp_path / "a.sumocfg"
+    network.write_text("<configuration/>")
+    source = SPEC["source"] | {"network": str(network)}
+    given = Spec.model_validate(SPEC | {"av_sees": seen, "source": source})
+    task = Task(run_id="r", spec=given, scene="s")
+    found = replace(failure(), task=task)
+    values = module.spec_values(whole, found, along(10.0)[1:])
+    made = Spec.model_validate(values)
+    for name in Spec.model_fields.keys() - OF_THE_ATTACK - {"version"}:
+        assert getattr(made, name) == getattr(given, name), name
+    assert not OF_THE_ATTACK & values.keys() - {"name", "duration_s", "adversary", "expect"}
 
 
 def test_the_path_is_the_driven_one(whole):
