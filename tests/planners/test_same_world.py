@@ -17,6 +17,7 @@ from deepmf_sumo.scene import (
     Polygon,
     Polyline,
     RoadMap,
+    SignalState,
     StopSign,
     View,
 )
@@ -84,17 +85,43 @@ def full_road():
         edges=(Polyline(id="e", kind=2, points_m=line + 5, z_m=rise + 1),),
         polygons=(Polygon(id="p", kind="crosswalk", points_m=line, z_m=rise - 1),),
         stop_signs=(StopSign(id="s", position_m=line[0], z_m=2.5, lane_ids=("a",)),),
+        buildings=(Polygon(id="h", kind="building", points_m=line + 20, z_m=rise - 2),),
+        footways=(
+            Polygon(id="f", kind="footway", points_m=line + 7, z_m=rise),
+            Polygon(id="t", kind="track", points_m=line + 8, z_m=rise),
+        ),
+        water=(Polygon(id="w", kind="water", points_m=line + 40, z_m=rise - 3),),
     )
 
 
 def test_the_whole_road_arrives():
     road = full_road()
     defaults = {"interpolating", "width_m", "speed_limit_mps"}
-    for field in fields(Lane):  # the road above says something in each field
+    for field in fields(RoadMap):  # the road above says something in each field
+        assert getattr(road, field.name), field.name
+    for field in fields(Lane):
         assert getattr(road.lanes["a"], field.name) is not None
         if field.name not in defaults | {"id", "kind"}:
             assert len(getattr(road.lanes["a"], field.name)), field.name
     same(road, told(road))
+
+
+@pytest.mark.parametrize("footways", [None, ()])
+def test_no_footways_and_unknown_footways_are_told_apart(footways):
+    assert told(replace(full_road(), footways=footways)).footways == footways
+
+
+def test_the_whole_view_arrives():
+    history = straight_tracks({"av": (1 / 3, 0, 0, 10), "b": (60, 0, 1.1, 7)})
+    view = View(
+        step=10, dt_s=0.1, av_id="av", history=history, road=full_road(),
+        signals={"a": SignalState.STOP}, steps_left=70, av_path_m=np.array([[0.0, 1 / 3]]),
+        av_recorded_steps=7,
+    )  # fmt: skip
+    bare = View(step=0, dt_s=0.0, av_id="", history=None, road=None, signals={}, steps_left=0)
+    for field in fields(View):  # and something else than by default
+        assert getattr(view, field.name) is not getattr(bare, field.name), field.name
+    same(view, serve.view_of(serve.read(client.view_message("e", view, 11)), view.road), "view")
 
 
 def bridge():

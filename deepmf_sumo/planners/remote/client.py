@@ -148,6 +148,7 @@ def view_message(episode: str, view: View, history_steps: int) -> bytes:
             "agents": _agents(view, history_steps),
             "signals": {lane: state.name for lane, state in view.signals.items()},
             "av_path_m": None if view.av_path_m is None else view.av_path_m.tolist(),
+            "av_recorded_steps": view.av_recorded_steps,
         }
     )
 
@@ -180,6 +181,9 @@ def _road(road: RoadMap) -> dict[str, Any]:
         "lines": [_drawn(line) for line in road.lines],
         "edges": [_drawn(edge) for edge in road.edges],
         "areas": [_drawn(area) for area in road.polygons],
+        "buildings": [_drawn(area) for area in road.buildings],
+        "footways": None if road.footways is None else [_drawn(area) for area in road.footways],
+        "water": [_drawn(area) for area in road.water],
         "stop_signs": [
             {
                 "id": one.id,

@@ -19,6 +19,8 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 from pydantic.json_schema import models_json_schema
 
+from deepmf_sumo.scene.scene import PolygonKind
+
 PROTOCOL: Final = 1
 FASTEST_MPS: Final = 150.0
 """Faster than any road vehicle: a command above it is an error of the planner."""
@@ -172,10 +174,10 @@ class LineMessage(Message):
 
 
 class AreaMessage(Message):
-    """A crosswalk, speed bump or driveway."""
+    """An area on the road or beside it."""
 
     id: str
-    kind: Literal["crosswalk", "speed_bump", "driveway"]
+    kind: PolygonKind
     points_m: Points
     z_m: list[float]
 
@@ -190,13 +192,22 @@ class StopSignMessage(Message):
 
 
 class RoadMessage(Message):
-    """The map."""
+    """The map, as `scene.RoadMap` has it.
+
+    Attributes:
+        areas: crosswalks, speed bumps and driveways.
+        buildings, water: beside the road.
+        footways: areas for people, and tracks of trams; null where the source maps none.
+    """
 
     lanes: list[LaneMessage]
     lines: list[LineMessage]
     edges: list[LineMessage]
     areas: list[AreaMessage]
     stop_signs: list[StopSignMessage]
+    buildings: list[AreaMessage] = []
+    footways: list[AreaMessage] | None = None
+    water: list[AreaMessage] = []
 
 
 class Reset(Message):
@@ -261,6 +272,7 @@ class ViewMessage(Message):
     Attributes:
         signals: lane id -> name of its light's state.
         av_path_m: (P, 2) centre line ahead of the AV's front bumper; null off every lane.
+        av_recorded_steps: number of the last 10 steps in which the AV moved as recorded.
     """
 
     type: Literal["view"]
@@ -272,6 +284,7 @@ class ViewMessage(Message):
     agents: list[AgentMessage]
     signals: dict[str, str]
     av_path_m: Points | None
+    av_recorded_steps: int = 0
 
     @model_validator(mode="after")
     def _of_one_time(self) -> Self:

@@ -28,6 +28,7 @@ from deepmf_sumo.planners.remote.protocol import (
     NUMBERS,
     PROTOCOL,
     QUESTION,
+    AreaMessage,
     BesideMessage,
     BoundaryMessage,
     LaneMessage,
@@ -176,7 +177,7 @@ def case_of(message: Reset) -> Case:
 
 
 def view_of(message: ViewMessage, road: RoadMap) -> View:
-    """The simulation's view, without parts of the map and the AV's recorded steps."""
+    """The simulation's view, on a road that was told before."""
     agents = message.agents
     steps = len(agents[0].valid) if agents else 0
     shape = (len(agents), steps)
@@ -202,6 +203,7 @@ def view_of(message: ViewMessage, road: RoadMap) -> View:
         signals={lane: SignalState[name] for lane, name in message.signals.items()},
         steps_left=message.steps_left,
         av_path_m=None if message.av_path_m is None else np.array(message.av_path_m, float),
+        av_recorded_steps=message.av_recorded_steps,
     )
 
 
@@ -232,10 +234,10 @@ def _road(message: RoadMessage | None) -> RoadMap:
         lanes={one.id: _lane(one) for one in message.lanes},
         lines=tuple(_line(one) for one in message.lines),
         edges=tuple(_line(one) for one in message.edges),
-        polygons=tuple(
-            Polygon(id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=np.array(one.z_m))
-            for one in message.areas
-        ),
+        polygons=_areas(message.areas),
+        buildings=_areas(message.buildings),
+        footways=None if message.footways is None else _areas(message.footways),
+        water=_areas(message.water),
         stop_signs=tuple(
             StopSign(
                 id=one.id,
@@ -270,6 +272,13 @@ def _lane(message: LaneMessage) -> Lane:
         left_boundaries=boundaries(message.left_boundaries),
         right_boundaries=boundaries(message.right_boundaries),
         gives_way_to=tuple(message.gives_way_to),
+    )
+
+
+def _areas(messages: Sequence[AreaMessage]) -> tuple[Polygon, ...]:
+    return tuple(
+        Polygon(id=one.id, kind=one.kind, points_m=_points(one.points_m), z_m=np.array(one.z_m))
+        for one in messages
     )
 
 
