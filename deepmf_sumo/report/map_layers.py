@@ -95,7 +95,7 @@ def features(road: RoadMap) -> list[Feature]:
     found += [Feature("junction", area) for area in junctions(road)]
     for kind, lines in (("line", road.lines), ("edge", road.edges)):
         found += [Feature(kind, [one.points_m]) for one in lines]
-    areas = (*road.polygons, *road.buildings, *road.water, *(road.footways or ()))
+    areas = (*road.polygons, *road.beside)
     drawn = {layer.of for layer in LAYERS}
     found += [
         Feature(one.kind, [one.points_m])

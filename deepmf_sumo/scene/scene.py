@@ -137,6 +137,11 @@ class RoadMap:
     footways: tuple[Polygon, ...] | None = None
     water: tuple[Polygon, ...] = ()
 
+    @property
+    def beside(self) -> tuple[Polygon, ...]:
+        """All areas beside the road."""
+        return (*self.buildings, *self.water, *(self.footways or ()))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signals(Frozen):

@@ -344,8 +344,7 @@ class Excerpts:
         shapes += [one.points_m for one in (*road.lines, *road.edges)]
         shapes += [one.points_m for one in road.polygons]
         shapes += [sign.position_m.reshape(1, 2) for sign in road.stop_signs]
-        beside = (*road.buildings, *road.water, *(road.footways or ()))
-        shapes += [one.points_m for one in beside]
+        shapes += [one.points_m for one in road.beside]
         self._tree = shapely.STRtree([_shape_of(shape) for shape in shapes])
 
     def near(self, path_m: Floats, radius_m: float) -> RoadMap:

@@ -76,6 +76,25 @@ def test_what_is_beside_the_road_is_kept(scene, tmp_path, footways):
     assert_same(changed, back)
 
 
+@pytest.mark.parametrize("beside", ["buildings", "footways", "water"])
+@pytest.mark.parametrize(
+    ("points", "name", "told"),
+    [
+        (np.array([[0.0, np.nan], [1, 1], [0, 1]]), "a", "points out of range"),
+        (np.array([[0.0, 1e12], [1, 1], [0, 1]]), "a", "points out of range"),
+        (np.eye(3, 2), "a\0b", "characters that cannot be shown"),
+    ],
+)
+def test_what_is_beside_the_road_is_checked(scene, tmp_path, beside, points, name, told):
+    kind = {"buildings": "building", "footways": "footway", "water": "water"}[beside]
+    area = Polygon(id=name, kind=kind, points_m=points, z_m=np.zeros(3))
+    road = replace(scene.road, **{beside: (area,)})
+    npz.write(replace(scene, road=road), tmp_path / "scene.npz")
+    (found,) = read_by(npz, tmp_path / "scene.npz")
+    assert isinstance(found, Refusal)
+    assert told in found.reason
+
+
 def test_maps_without_it_are_written_as_before(scene, tmp_path):
     npz.write(scene, tmp_path / "scene.npz")
     with np.load(tmp_path / "scene.npz") as found:

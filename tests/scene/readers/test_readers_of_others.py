@@ -5,6 +5,7 @@ import inspect
 import os
 import signal
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from deepmf_sumo import files, plugins
 from deepmf_sumo.errors import ReaderError
-from deepmf_sumo.scene import Source, readers
+from deepmf_sumo.scene import Polygon, Source, readers
 from deepmf_sumo.scene.readers import Refusal
 from deepmf_sumo.scene.readers.base import RecordRef
 from deepmf_sumo.scene.readers.raw import RawScene, RawTracks, lane_links
@@ -114,6 +115,16 @@ def test_a_crash_of_it_costs_the_rest_of_its_file(data):
     assert [isinstance(one, Refusal) for one in found] == [False, True, False, False]
     assert "reading it ended the process (SIGKILL)" in found[1].reason
     assert readers.read(list(readers.records(data / "a.straight"))[2]).name == "four"
+
+
+@pytest.mark.parametrize("beside", ["buildings", "footways", "water"])
+def test_what_it_says_of_areas_beside_the_road_is_kept(data, beside):
+    raw = Straight().load(next(Straight().recordings(data / "a.straight")))
+    area = Polygon(id="a", kind="building", points_m=np.eye(3, 2), z_m=np.zeros(3))
+    lost = replace(area, id="lost", points_m=np.full((3, 2), np.nan))
+    scene = readers.repair(replace(raw, road=replace(raw.road, **{beside: (area, lost)})))
+    assert [one.id for one in getattr(scene.road, beside)] == ["a"]
+    assert any("out of range, were dropped: lost" in one for one in scene.repairs)
 
 
 def test_it_needs_nothing_private():

@@ -137,7 +137,7 @@ def _ids_of(road: RoadMap) -> Iterator[str]:
         for boundary in (*lane.left_boundaries, *lane.right_boundaries):
             yield boundary.feature_id
     features: tuple[Feature, ...] = (*road.lines, *road.edges, *road.polygons, *road.stop_signs)
-    yield from (feature.id for feature in features)
+    yield from (feature.id for feature in (*features, *road.beside))
     for sign in road.stop_signs:
         yield from sign.lane_ids
 
@@ -326,6 +326,7 @@ def _refuse_road(road: RoadMap) -> None:
     if not road.lanes:
         raise ReaderError("the record has no lanes")
     features: tuple[Polyline | Polygon, ...] = (*road.lines, *road.edges, *road.polygons)
+    features += road.beside
     if len(road.lanes) + len(features) + len(road.stop_signs) > MOST_FEATURES:
         raise ReaderError(f"the map has more than {MOST_FEATURES} features")
     points = sum(len(lane.centre_m) for lane in road.lanes.values())
@@ -371,12 +372,17 @@ def _repaired_road(road: RoadMap, repairs: list[str]) -> RoadMap:
             f"{len(lost)} links to lanes, or to points of lanes, that are not in the record were "
             f"dropped, e.g. {lost[0]}."
         )
-    return RoadMap(
+    walked = road.footways
+    return replace(
+        road,
         lanes=linked,
         lines=_usable(road.lines, "lines", repairs),
         edges=_usable(road.edges, "edges", repairs),
         polygons=_usable(road.polygons, "polygons", repairs),
         stop_signs=_usable(signs, "stop signs", repairs),
+        buildings=_usable(road.buildings, "buildings", repairs),
+        footways=None if walked is None else _usable(walked, "footways", repairs),
+        water=_usable(road.water, "areas of water", repairs),
     )
 
 
