@@ -19,7 +19,7 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 from pydantic.json_schema import models_json_schema
 
-from deepmf_sumo.scene.scene import PolygonKind
+from deepmf_sumo.scene.scene import AgentKind, LaneKind, PolygonKind
 
 PROTOCOL: Final = 1
 FASTEST_MPS: Final = 150.0
@@ -147,7 +147,7 @@ class LaneMessage(Message):
     """
 
     id: str
-    kind: Literal["unknown", "freeway", "street", "bike"]
+    kind: LaneKind
     centre_m: Points
     z_m: list[float]
     interpolating: bool
@@ -244,7 +244,7 @@ class AgentMessage(Message):
     """
 
     id: str
-    kind: Literal["vehicle", "pedestrian", "cyclist", "other"]
+    kind: AgentKind
     size_m: list[float] = Field(description="length, width, height")
     x_m: list[float]
     y_m: list[float]
