@@ -247,7 +247,10 @@ class _Columns:
             following = self._edge(route[at + 1]) if at + 1 < len(route) else -1
             parked = bool(vehicle.getStopState(name) & _PARKED)
             self.rows.extend((row, edge, following, parked))
-            left = 0.0 if lane[0] == ":" else self._left_m(lane, vehicle.getLanePosition(name))
+            left = 0.0
+            if lane[0] != ":":
+                along = vehicle.getLanePosition(name)
+                left = self._left_m(lane, along, ahead=lane.rpartition("_")[0] == route[at])
             x, y, z = vehicle.getPosition3D(name)
             speed = max(0.0, vehicle.getSpeed(name))
             self.numbers.extend((now, x, y, vehicle.getAngle(name), length, left, speed, z))
@@ -262,9 +265,12 @@ class _Columns:
             if on_foot(person.getVehicle(name)) and somewhere(place):
                 self.walkers.extend((now, *place))
 
-    def _left_m(self, lane: str, at_m: float) -> float:
-        """More than 0 for a vehicle on the stop line, where SUMO lets it stop without a yellow."""
-        return max(self._length(lane) - at_m, _BEFORE_LINE_M)
+    def _left_m(self, lane: str, at_m: float, *, ahead: bool) -> float:
+        """More than 0 for a vehicle on the stop line, where SUMO lets it stop without a yellow.
+
+        ``ahead``: it drives along the lane; on the opposite lane it drives to where that begins.
+        """
+        return max(self._length(lane) - at_m if ahead else at_m, _BEFORE_LINE_M)
 
     def sightings(
         self, begin: float, until: float, *, complete: bool, persons: bool, waiting: int
