@@ -174,5 +174,6 @@ class _Sighted:
                     [edges.setdefault(edge_of(lane), len(edges)) for lane in self.lanes]
                 ),
                 parts=np.array([self.bodies[agent_ids.whole_of(one)] for one in names], int),
+                on_foot=np.array([agent_ids.person_of(one) is not None for one in names], bool),
             ),
         )

@@ -45,6 +45,7 @@ class RoadUserMotions:
         size_m: (V, 2) length and width.
         parts: (V) the road user that each is a part of, else its own index: ascending. A vehicle
             that bends is several boxes. None: no road user has parts.
+        on_foot: (V) those whose conflicts with each other do not count. None: nobody.
         step: (K) not decreasing. body: (K) index of the road user, ascending within a step.
         position_m: (K, 2) box centres. heading_rad, speed_mps, z_m: (K).
         lane: (K) index of a lane. edge_of_lane: (L) index of the lane's edge.
@@ -61,6 +62,7 @@ class RoadUserMotions:
     lane: Ints
     edge_of_lane: Ints
     parts: Ints | None = None
+    on_foot: Bools | None = None
 
     @cached_property
     def whole(self) -> Ints:
@@ -166,7 +168,7 @@ class _Encounter(NamedTuple):
 
 
 def find(motions: RoadUserMotions, limits: ConflictLimits) -> FoundConflicts:
-    """All conflicts of all pairs; of vehicles of several boxes, those of the nearest boxes.
+    """All conflicts of all pairs but two on foot; of vehicles of several boxes, of the nearest.
 
     Steps with a time to collision within the limit belong to one conflict of the pair unless more
     than ``limits.pet_s`` lie between them.
@@ -211,6 +213,9 @@ def _near(motions: RoadUserMotions, seconds: float) -> Iterator[tuple[Ints, Ints
         pairs = shapely.STRtree(areas).query(areas)
         of = motions.whole[motions.body[begin:end]]
         others = (pairs[0] < pairs[1]) & (of[pairs[0]] != of[pairs[1]])
+        if motions.on_foot is not None:  # people walk close, and SUMO lets them stand in each other
+            on_foot = motions.on_foot[motions.body[begin:end]]
+            others &= ~(on_foot[pairs[0]] & on_foot[pairs[1]])
         held.append(np.sort(pairs[:, others], axis=0) + begin)
         begin, count = end, count + held[-1].shape[1]
         if count > _BLOCK:

@@ -26,6 +26,7 @@ from deepmf_sumo.scene import (
     Tracks,
     VehicleModel,
 )
+from deepmf_sumo.scene.geometry import frames, polylines
 from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
@@ -41,7 +42,7 @@ from deepmf_sumo.sumo.simulation.observation import ReplayedSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.on_foot import Walk
 from deepmf_sumo.sumo.simulation.ownership import LogOwner, NextOwner, logged
-from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion, read_pose
+from deepmf_sumo.sumo.simulation.shown_motion import FARTHEST_JUMP_M, ShownMotion, read_pose
 from deepmf_sumo.sumo.simulation.sumo_api import (
     ANY_ROUTE,
     AV_TYPE,
@@ -202,12 +203,12 @@ class FreeTraffic:
         self._fresh.append((row, step))
 
     def after_step(self, step: int) -> None:
-        """Set the speed of new agents; those that started off every lane are lost."""
+        """Set the speed of new agents; those that started off their lane are lost."""
         vehicle = self._api.vehicle
         there = set(vehicle.getIDList())
         for row, at in self._fresh:
             name = self._tracks.ids[row]
-            if name in there and vehicle.getLaneID(name):
+            if name in there and self._starts_on_lane(row, at):
                 vehicle.setPreviousSpeed(name, float(self._tracks.speed_mps[row, at]))
                 continue
             if name in there:
@@ -216,6 +217,21 @@ class FreeTraffic:
         self._fresh.clear()
         present = {row for row in self._inside if self._tracks.ids[row] in there}
         self._inside = present - self.lost
+
+    def _starts_on_lane(self, row: int, step: int) -> bool:
+        """Whether SUMO has it on a lane, onto which its shown motion comes without a jump.
+
+        SUMO takes the nearest lane, whatever its direction, and turns the vehicle within a step.
+        """
+        name, vehicle = self._tracks.ids[row], self._api.vehicle
+        lane_id = vehicle.getLaneID(name)
+        if not lane_id:
+            return False
+        lane = np.array(self._api.lane.getShape(lane_id), float)[:, :2]
+        foot = polylines.project(lane, np.array(vehicle.getPosition(name), float))
+        turn = float(frames.difference(foot.heading_rad, self._tracks.heading_rad[row, step]))
+        swing_m = float(self._tracks.size_m[row, 0]) * abs(np.sin(turn))
+        return bool(np.cos(turn) > 0 and foot.distance_m + swing_m <= FARTHEST_JUMP_M)
 
     def _lose(self, row: int, step: int, detail: str) -> None:
         self.lost.add(row)

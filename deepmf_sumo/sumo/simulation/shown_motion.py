@@ -33,7 +33,7 @@ _SETTLING_STEPS: Final = 15
 """A vehicle that comes back from the opposite lane has not more time: another one is coming."""
 _JUMP_M: Final = 0.5
 """SUMO's vehicles move to the side of their lane by more than motion explains where they jump."""
-_FARTHEST_JUMP_M: Final = 6.0
+FARTHEST_JUMP_M: Final = 6.0
 _STOOD_M: Final = 0.05
 _ALIGNED_M, _ALIGNED_RAD = 0.2, 0.1
 """Below these an offset and an angle with which SUMO begins to drive a vehicle are not spread."""
@@ -319,7 +319,7 @@ def _jump(
     moved = [end - start for start, end in zip(starts, ends, strict=True)]
     sides = [float(one @ aside) for one in moved]
     ahead = abs(float(moved[0] @ np.array([aside[1], -aside[0]])))
-    if ahead > way_m + _TELEPORT_M or max(map(abs, sides)) > _FARTHEST_JUMP_M + way_m:
+    if ahead > way_m + _TELEPORT_M or max(map(abs, sides)) > FARTHEST_JUMP_M + way_m:
         return "teleport"
     least_m = _JUMP_M + min(way_m / 2, _JUMP_M)
     last = [None, None] if earlier is None else _bumpers(earlier, length_m)
@@ -348,7 +348,7 @@ def _begin(
     way = (before.speed_mps + now.speed_mps) / 2 * DT_S * frames.unit(np.array(before.heading_rad))
     pairs = zip(_bumpers(before, length_m), _bumpers(now, length_m), strict=True)
     sides = [float((start + way - end) @ aside) for start, end in pairs]
-    if max(map(abs, sides)) > _FARTHEST_JUMP_M:
+    if max(map(abs, sides)) > FARTHEST_JUMP_M:
         return "teleport"
     turned = abs(float(frames.difference(now.heading_rad, before.heading_rad)))
     small = abs(sum(sides)) / 2 <= _ALIGNED_M and turned <= _ALIGNED_RAD

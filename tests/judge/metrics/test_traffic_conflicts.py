@@ -53,6 +53,17 @@ STOPS = np.where(T < 1.05, -25.05 + 10 * T, np.where(T < 2.95, -15.05, -45.05 + 
 B = way(0, STOPS, np.pi / 2, np.where((T < 1.05) | (T > 2.95), 10.0, 0.0), lane=2)
 
 
+def test_two_on_foot_have_no_conflict_but_one_has_with_a_vehicle():
+    both = motions(A, B)
+    [one] = find(both, ConflictLimits()).conflicts
+    for on_foot, kept in (([True, False], [one]), ([False, True], [one]), ([True, True], [])):
+        found = find(replace(both, on_foot=np.array(on_foot)), ConflictLimits())
+        assert [(each.begin, each.pet_s) for each in found.conflicts] == [
+            (each.begin, each.pet_s) for each in kept
+        ]
+        assert found.left_out == {}
+
+
 def test_a_vehicle_of_several_boxes_has_one_conflict():
     boxes = [way(0, -20 + 10 * T - 4.0 * number, np.pi / 2, 10, lane=2) for number in range(3)]
     seen = motions(A, *boxes)

@@ -341,6 +341,24 @@ def test_sumo_drives_the_others_where_the_case_says_so(tmp_path):
     assert first[0] == pytest.approx(1.4, abs=0.1)
 
 
+@pytest.mark.parametrize("heading", [2.4, 1.4])
+def test_who_comes_askew_to_its_lane_is_left_to_the_log(tmp_path, heading):
+    """SUMO turns it onto its lane within a step: `continuity` judges the rollout."""
+    long_m = 11.0
+    turns = straight_motion(100.0, LANE_M, EAST, 8.0)
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    turns[:30, :2] = [100.0, LANE_M + 0.5] - long_m / 2 * ahead  # its front is on the lane
+    turns[:30, 2:] = heading, 0.5
+    motions = {"av": straight_motion(60.0, 0.0, EAST, 10.0), "guest": turns}
+    scene = scene_of(straight_road(), motions, valid=np.arange(STEPS) >= [[0], [20]])
+    size_m = scene.tracks.size_m.copy()
+    size_m[1, 0] = long_m
+    scene = replace(scene, tracks=replace(scene.tracks, size_m=size_m))
+    rollout = run(case_of(scene, tmp_path, traffic="sumo"), lane_idm())
+    assert (rollout.driver[rollout.tracks.row("guest"), 20:] == Driver.LOG).all()
+    assert ("off_network", "guest") in {(one.kind, one.agent_id) for one in rollout.events}
+
+
 def test_overlap_at_the_start_is_an_event_and_no_contact(tmp_path):
     motions = {
         "av": straight_motion(60.0, 0.0, EAST, 10.0),

@@ -86,6 +86,8 @@ def test_surveys_have_both(config):
     found = survey(Survey(config=config, seed=0))
     assert {"1", "person 1", "late", "person late"} <= set(found.names)
     assert "person taken" not in found.names
+    on_foot = {one for one, yes in zip(found.names, found.motions.on_foot, strict=True) if yes}
+    assert on_foot == {one for one in found.names if one.startswith("person ")}
     fast = found.motions.speed_mps > 4.0
     assert not [one for one in found.motions.body[fast] if found.names[one].startswith("person")]
 
