@@ -11,7 +11,7 @@ import sumo
 from deepmf_sumo.planners.perception import nearest_in_corridor
 from deepmf_sumo.scene import HISTORY_STEPS, Command
 from deepmf_sumo.sumo.simulation import network_case, simulate
-from deepmf_sumo.sumo.simulation.traffic_survey import Scouting, scout
+from deepmf_sumo.sumo.simulation.traffic_survey import TrafficSurvey, survey_traffic
 
 NOW = HISTORY_STEPS - 1
 NODES = """<nodes><node id="w" x="0" y="0"/><node id="m" x="600" y="0"/>
@@ -84,7 +84,7 @@ def test_it_is_shown_without_a_jump_and_planners_see_ahead(config):
 
 
 def test_a_survey_measures_to_the_end_of_the_edge_that_it_is_on_by_its_route(config):
-    seen = scout(Scouting(config=config, sumo_options=(), seed=0))
+    seen = survey_traffic(TrafficSurvey(config=config, sumo_options=(), seed=0))
     (av,) = (row for row, body in enumerate(seen.bodies) if body.id == "av")
     rows = (seen.vehicle == av) & (seen.edge == seen.edges.index("wm")) & (seen.to_end_m > 0)
     x, y = seen.position_m[rows].T
