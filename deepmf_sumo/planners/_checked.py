@@ -65,11 +65,13 @@ class Guard:
             return self._planner.model
 
     def act(self, view: View) -> Command:
-        """The command for a step. Raises PlannerError."""
+        """The command for a step, its numbers plain ones. Raises PlannerError."""
         with blamed():
             command = self._planner.act(view)
         check(command, view, may_jump=self._may_jump)
-        return command
+        # SUMO takes no numpy.float32, which a network computes, and no numpy.int64
+        numbers = {name: float(getattr(command, name)) for name in NUMBERS[command.kind]}
+        return Command(kind=command.kind, leader_id=command.leader_id, **numbers)
 
     def close(self) -> None:
         """End of the episode, however it ended."""
@@ -87,7 +89,8 @@ def check(command: object, view: View, *, may_jump: bool) -> None:
         raise PlannerError(f"kind {at} is {command.kind!r:.80}; known: {', '.join(NUMBERS)}.")
     for name in NUMBERS[command.kind]:
         value = getattr(command, name)
-        if not isinstance(value, int | float | np.number) or not math.isfinite(value):
+        number = isinstance(value, int | float | np.integer | np.floating)
+        if not number or not math.isfinite(value):
             raise PlannerError(f"{name} {at} is {value!r:.80}, not a finite number.")
     for name in {"speed_mps", "leader_mps"} & set(NUMBERS[command.kind]):
         if abs(getattr(command, name)) > FASTEST_MPS:

@@ -237,8 +237,9 @@ def unfinished(
     fault: PlannerFault | Literal[""] = "",
 ) -> Result:
     """The result of a run without one, and the reason; ``fault``: what the planner did wrong."""
+    said = error.encode("utf-8", "backslashreplace").decode()  # a file's name need not be UTF-8
     return {
-        **_identity(task, status, " ".join(error.split())),
+        **_identity(task, status, " ".join(said.split())),
         "planner_fault": fault,
         "timings": {"wall_s": wall_s},
     }

@@ -82,6 +82,31 @@ def test_a_hostile_class_is_a_planner_error(config, act, message):
     assert message in str(found.value)
 
 
+@pytest.mark.parametrize("number", [np.float32, np.float64, np.float16, np.int64, np.uint8, int])
+@pytest.mark.parametrize(
+    "command", [{"kind": "speed", "speed_mps": 9}, {"kind": "leader", "gap_m": 7, "leader_mps": 8}]
+)
+def test_numbers_of_numpy_drive_as_plain_ones(config, command, number):
+    case = network_case(config, 3.0, "av", 6, seed=0)
+    ways = []
+    for of in (float, number):
+        numbers = {name: one if name == "kind" else of(one) for name, one in command.items()}
+        planner = Planner(lambda view, numbers=numbers: Command(**numbers))
+        rollout = simulate(case, planner, None, rng=np.random.default_rng(0))
+        ways.append(rollout.tracks.position_m)
+    assert np.array_equal(*ways, equal_nan=True)
+
+
+def test_a_pose_of_float32_is_driven(config):
+    def act(view):
+        x, y = view.history.position_m[view.history.row("av"), -1].astype(np.float32)
+        return Command(kind="pose", x_m=x + np.float32(0.5), y_m=y, speed_mps=np.float32(5))
+
+    case = network_case(config, 3.0, "av", 6, seed=0)
+    rollout = simulate(case, Planner(act), None, rng=np.random.default_rng(0))
+    assert rollout.tracks.valid[rollout.tracks.row("av")].all()
+
+
 def test_a_planner_is_closed_however_the_episode_ends(config):
     closed = []
 

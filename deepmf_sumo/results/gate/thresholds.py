@@ -46,6 +46,11 @@ def _known(name: str) -> str:
     return name
 
 
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Each name once: a second one would widen the intervals of all."""
+    return tuple(dict.fromkeys(names))
+
+
 QuantityName = Annotated[str, AfterValidator(_known)]
 
 
@@ -119,7 +124,9 @@ class Baseline(Strict):
 
     results: str | None = None
     by: Literal["all", "planner", "spec", "network"] = "all"
-    quantities: Annotated[tuple[QuantityName, ...], Field(strict=False, min_length=1)] = COMPARED
+    quantities: Annotated[
+        tuple[QuantityName, ...], Field(strict=False, min_length=1), AfterValidator(_once)
+    ] = COMPARED
     confidence: Annotated[float, Field(ge=0.5, lt=1)] = 0.95
     tolerance: dict[QuantityName, Positive] = {}
     rule_out: dict[QuantityName, Positive] = {}

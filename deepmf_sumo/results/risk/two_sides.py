@@ -163,6 +163,7 @@ def compare(
     Raises UsageError for a folder or a quantity that cannot be used, and where the sides were made
     by different versions of the program, or their attacks had different times.
     """
+    names = tuple(dict.fromkeys(names))  # else each would widen the intervals of all
     unknown = [name for name in names if name not in COMPARABLE]
     if unknown:
         raise UsageError(f"{no_quantity(unknown[0])}.")

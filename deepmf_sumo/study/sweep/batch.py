@@ -468,7 +468,7 @@ def _endings(
     store: Store, left: Sequence[Task], options: Options
 ) -> Generator[Finished, None, None]:
     work = episode.TaskRunner(
-        runs=store.runs,
+        runs=store.runs.absolute(),  # a planner may go to another folder
         cache=cache_folder(),
         draw=options.draw,
         gui=options.gui,

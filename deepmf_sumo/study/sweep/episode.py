@@ -417,14 +417,14 @@ def planner_of(task: Task) -> Planner:
 
 def _adversary_of(task: Task) -> Any:
     choice = task.spec.adversary
-    settings = json.dumps(choice.settings, sort_keys=True)
+    settings = yaml.safe_dump(choice.settings)  # JSON has no dates and no sets, and YAML has
     return _adversary(choice.name, settings, task.spec.weights)
 
 
 @functools.lru_cache(maxsize=64)
 def _adversary(name: str, settings: str, weights: str) -> Any:
     """Kept between tasks: loading its weights takes longer than an episode."""
-    checked = plugins.settings("adversaries", name, json.loads(settings))
+    checked = plugins.settings("adversaries", name, yaml.safe_load(settings))
     return plugins.load("adversaries", name).build(checked, weights)
 
 

@@ -362,6 +362,7 @@ def _begin_life(parent: int) -> None:
     """As a copy begins: in a group of its own, so that all of it can be ended together."""
     global _is_copy  # noqa: PLW0603
     _is_copy = True
+    multiprocessing.current_process().daemon = False  # a planner may start processes: all are ended
     system.own_group()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     system.end_with_parent()

@@ -153,6 +153,11 @@ def test_a_baseline_that_can_never_alarm_is_no_pass():
     assert states(RATE, rate_of(5, of=5), rate_of(0, of=5)) == ["worse"]
 
 
+def test_a_quantity_that_is_named_twice_counts_once():
+    twice = Baseline(quantities=("ttc_s", "min_gap_m", "ttc_s"))
+    assert twice == Baseline(quantities=("ttc_s", "min_gap_m"))
+
+
 def test_several_quantities_need_more_specs():
     wanted = Baseline(quantities=("av_collision_rate", "collision_rate"))
     rows = [gate_doubles.row(f"s{n}", av_collision_rate=0.0, collision_rate=0.0) for n in range(5)]

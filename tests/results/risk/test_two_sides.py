@@ -190,6 +190,13 @@ def test_hits_on_recorded_scenes_come_from_kinds_alone(tmp_path):
     assert {one.dimension for one in found.origins} == {"accident", "sector", "worth"}
 
 
+def test_a_quantity_that_is_asked_for_twice_is_compared_once(tmp_path):
+    a, b = (folder(tmp_path / name, {0, 1}) for name in "ab")
+    twice = comparison.compare(a, b, ("ttc_s", "min_gap_m", "ttc_s"))
+    once = comparison.compare(a, b, ("ttc_s", "min_gap_m"))
+    assert twice.differences == once.differences
+
+
 def test_what_cannot_be_compared_is_refused(tmp_path):
     a = folder(tmp_path / "a", {0})
     b = folder(tmp_path / "b", {0}, version="0.2.0")

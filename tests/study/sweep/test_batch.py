@@ -52,6 +52,27 @@ def test_a_resolved_spec_repeats_its_run(tiny, tmp_path):
     assert same_bytes.same(tmp_path / "first", tmp_path / "again")
 
 
+def test_settings_of_an_attack_may_be_dates(tiny, tmp_path, monkeypatch):
+    """YAML knows them, and JSON does not."""
+    monkeypatch.syspath_prepend(str(tiny))
+    (tiny / "dated_attack.py").write_text(
+        "from datetime import date\n"
+        "from deepmf_sumo import plugins\n"
+        "from deepmf_sumo.attacks import none\n"
+        "class Dated:\n"
+        "    class Settings(plugins.Settings):\n"
+        "        day: date\n"
+        "    @staticmethod\n"
+        "    def build(settings, weights):\n"
+        "        assert settings.day == date(2024, 2, 29)\n"
+        "        return none.build(none.Settings(), weights)\n"
+    )
+    attack = "{name: 'dated_attack:Dated', day: 2024-02-29}"
+    path = tiny_network.spec(tiny, "dated", adversary=attack)
+    [found] = batch.run([spec.load(path)], batch.Options(out=tmp_path / "out"))
+    assert (found["status"], found["settings"]["adversary"]) == ("ok", {"day": "2024-02-29"})
+
+
 def test_bad_runs_are_rows_and_cost_nobody_else(tiny, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tiny))
     names = {"Crash": "crash", "Hang": "hang", "Raise": "bug"}

@@ -16,7 +16,7 @@ from deepmf_sumo.study.sweep import batch
 from tests.support import tiny_network
 
 PLANNERS = """
-import os, signal, sys, time
+import multiprocessing, os, signal, sys, time
 from deepmf_sumo import plugins
 from deepmf_sumo.scene import Command
 from deepmf_sumo.planners import _checked
@@ -61,6 +61,9 @@ class Base(_Planner):
 class Interrupt(_Planner):
     def go_wrong(self): raise KeyboardInterrupt
 
+class Unspeakable(_Planner):
+    def go_wrong(self): raise Odd("no file " + os.fsdecode(bytes([255])))
+
 class Generator(_Planner):
     def go_wrong(self): raise GeneratorExit
 
@@ -85,6 +88,11 @@ class Leaves(_Planner):
         _checked.patched = True
         _Planner.left = True
 
+class Starts(_Planner):
+    def go_wrong(self):
+        with multiprocessing.Pool(1) as pool: assert pool.map(abs, [-1]) == [1]
+        multiprocessing.Process(target=stay).start()
+
 class Looks(_Planner):
     def go_wrong(self):
         left = [os.getcwd() == "/", "LEFT_BEHIND" in os.environ, hasattr(_checked, "patched")]
@@ -95,6 +103,7 @@ class Looks(_Planner):
 BLAMED = {
     "Base": "planner_error: Odd: odd (see log.txt)",
     "Interrupt": "planner_error: KeyboardInterrupt: (see log.txt)",
+    "Unspeakable": r"planner_error: Odd: no file \udcff (see log.txt)",
     "Generator": "planner_error: GeneratorExit: (see log.txt)",
     "Leave": "planner_error: the planner ended its process (exit code 0; see log.txt).",
     "Crash": "planner_error: the planner ended its process (SIGSEGV; see log.txt).",
@@ -103,7 +112,7 @@ BLAMED = {
     "ForksAndEnds": "planner_error: the planner ended its process (SIGKILL; see log.txt).",
     "ForksAndHangs": "longer than 8 s",
 }
-FINE = ("Forks", "Leaves", "Looks")
+FINE = ("Forks", "Starts", "Leaves", "Looks")
 TAG = f"left-by-a-planner-{os.getpid()}"
 
 pytestmark = [
@@ -140,6 +149,17 @@ def test_each_is_a_row_that_blames_the_planner_and_nothing_is_left(tiny, tmp_pat
     assert {name: results[f"class {name}"]["error"] for name in BLAMED} == BLAMED
     assert {name: results[f"class {name}"]["error"] for name in FINE} == dict.fromkeys(FINE, "")
     assert left() == []
+
+
+def test_results_lie_in_a_relative_folder_though_a_planner_goes_elsewhere(
+    tiny, tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(tiny)
+    monkeypatch.chdir(tmp_path)
+    options = batch.Options(out=Path("out"), jobs=1)
+    [result] = batch.run([spec.load(path) for path in specs(tiny, ["Leaves"])], options)
+    assert result["status"] == "ok"
+    assert (tmp_path / "out/runs" / result["run_id"] / "tracks.csv.gz").is_file()
 
 
 def test_nothing_is_left_where_the_sweep_is_killed(tiny, tmp_path):
