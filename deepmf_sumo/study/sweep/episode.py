@@ -1,7 +1,6 @@
 """One task in a worker: case, attack, metrics, files."""
 
 import functools
-import json
 import os
 import shutil
 import time

@@ -192,8 +192,8 @@ def test_hits_on_recorded_scenes_come_from_kinds_alone(tmp_path):
 
 def test_a_quantity_that_is_asked_for_twice_is_compared_once(tmp_path):
     a, b = (folder(tmp_path / name, {0, 1}) for name in "ab")
-    twice = comparison.compare(a, b, ("ttc_s", "min_gap_m", "ttc_s"))
-    once = comparison.compare(a, b, ("ttc_s", "min_gap_m"))
+    twice = two_sides.compare(a, b, ("ttc_s", "min_gap_m", "ttc_s"))
+    once = two_sides.compare(a, b, ("ttc_s", "min_gap_m"))
     assert twice.differences == once.differences
 
 
