@@ -369,7 +369,8 @@ class RouteAhead:
         if measured is None:
             return False
         _, lane_rad = measured.at(np.array(along_m))
-        return on_lane.against(float(lane_rad), float(self._api.vehicle.getAngle(self._id)))
+        angle_deg = float(self._api.vehicle.getAngle(self._id))
+        return on_lane.against(self._api, self._id, lane, float(lane_rad), angle_deg)
 
     def _lanes_ahead(self, lane: str) -> list[str]:
         # on a junction's lane SUMO lists only the links after the junction

@@ -149,7 +149,7 @@ class LongVehicles:
         lane = str(vehicle.getLaneID(name))
         if lane:
             at = float(vehicle.getLanePosition(name))
-            own = _Piece(lane, self._length_m(lane), self._against(lane, at, state[2]))
+            own = _Piece(lane, self._length_m(lane), self._against(name, lane, at, state[2]))
             at = own.length_m - at if own.against else at
             line_m, heading = self._foot(own, at)
             left = on_lane.left_m(self._api, name, line_m[:2], heading)
@@ -220,10 +220,10 @@ class LongVehicles:
                         return tuple(reversed(chain))
         return ()
 
-    def _against(self, lane: str, at_m: float, angle_deg: float) -> bool:
+    def _against(self, name: AgentId, lane: str, at_m: float, angle_deg: float) -> bool:
         """Whether a vehicle drives against its lane at SUMO's position there."""
         _, heading = self._foot(_Piece(lane, self._length_m(lane)), at_m)
-        return on_lane.against(heading, angle_deg)
+        return on_lane.against(self._api, name, lane, heading, angle_deg)
 
     def _foot(self, piece: _Piece, at_m: float) -> tuple[Floats, float]:
         """(3) the point of a lane at SUMO's position, which may lie before it, and its heading."""

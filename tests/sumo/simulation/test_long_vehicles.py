@@ -406,6 +406,32 @@ def test_one_that_overtakes_on_the_opposite_lane_does_not_turn_round(
     assert opposite > 20
 
 
+TURNING_BACK = """<vType id="long" vClass="truck" guiShape="truck/trailer" length="16.5" sigma="0"/>
+<vehicle id="t" type="long" depart="0" departPos="60" departSpeed="8">
+<route edges="A1B1 B1A1"/></vehicle>"""
+
+
+def test_one_that_turns_back_at_a_crossing_does_not_jump(tmp_path, started):
+    command = [Path(sumo.SUMO_HOME) / "bin" / "netgenerate", "-o", "long.net.xml", "--grid"]
+    command += ["--grid.number", "3", "--grid.length", "120", "--default.lanenumber", "2"]
+    environment = {**os.environ, "SUMO_HOME": str(sumo.SUMO_HOME)}
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, env=environment)
+    api = started(configured(tmp_path, "back", TURNING_BACK))
+    reader, before, edges = TrafficReader(api), None, set()
+    for _ in range(250):
+        api.simulationStep()
+        if "t" not in api.vehicle.getIDList():
+            break
+        edges.add(api.vehicle.getRoadID("t"))
+        frame = reader.read()
+        here = frame.position_m[[frame.ids.index(one) for one in ("t", "t part 2")]]
+        if before is not None:
+            moved_m = np.hypot(*(here - before).T)
+            assert moved_m.max() < 0.1 * api.vehicle.getSpeed("t") + 1.0
+        before = here
+    assert {"A1B1", "B1A1"} < edges
+
+
 @pytest.mark.parametrize("side", [(), ("--lefthand",)], ids=["right-hand", "left-hand"])
 def test_one_beside_the_middle_of_its_lane_is_straight(tmp_path, started, side):
     folder = street(tmp_path, *side)
