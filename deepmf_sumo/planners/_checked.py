@@ -134,12 +134,20 @@ def blamed() -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and not _ignored(signal.SIGINT):
             raise
-        reason = f"{type(error).__name__}: {error} (see log.txt)"
+        reason = f"{type(error).__name__}: {_text(error)} (see log.txt)"
         raise PlannerError(reason, kind="crashed") from error
     finally:
         if os.getpid() != process:  # it forked, and this is the copy: there is one simulation
             os._exit(0)
         _inside[0] = before
+
+
+def _text(error: BaseException) -> str:
+    """What an error says; its class may be the planner's, too."""
+    try:
+        return str(error)
+    except Exception:  # noqa: BLE001 - of the planner
+        return "its text cannot be read"
 
 
 def _ignored(number: signal.Signals) -> bool:

@@ -42,7 +42,7 @@ def build(settings: Settings) -> RemotePlanner:
     """The planner."""
     command = [
         *(sys.executable, "-m", "deepmf_sumo.planners.remote.serve", settings.planner),
-        *("--settings", json.dumps(settings.settings)),
+        *("--settings", json.dumps(settings.settings, default=str)),  # YAML has dates, too
         *("--path", os.pathsep.join(sys.path)),
     ]
     name = f"planner '{settings.planner}'"

@@ -456,10 +456,12 @@ def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Prog
     """
     if ending.status == "lost":
         return replace(before, lost=before.lost + 1, last=None)
-    if ending.status != "done" and not _unheard(store, [task]):
+    there = (store.runs / task.run_id / stored.RESULT).is_file()
+    if not there or (ending.status != "done" and not _unheard(store, [task])):
         status: result_module.Status = "timeout" if ending.status == "timeout" else "failed"
         fault: Literal["crashed", ""] = "crashed" if ending.by_planner else ""
-        reason = result_module.unfinished(task, status, ending.reason, ending.seconds, fault)
+        why = ending.reason or "its worker has left no result"
+        reason = result_module.unfinished(task, status, why, ending.seconds, fault)
         episode.finish(store.runs, task, reason)
     return replace(before, done=before.done + 1, last=store.read_run(task.run_id))
 

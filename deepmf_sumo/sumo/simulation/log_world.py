@@ -62,6 +62,7 @@ from deepmf_sumo.sumo.simulation.world import World
 _EXACT = 2  # keepRoute: exactly there, on or off the lanes
 _ON_ROUTE = 1  # keepRoute: the nearest point of its route
 _NEAR_M = 60.0
+_MOVED_M = 0.005
 _MARGIN_M = 0.2
 _IGNORED_BY = ("carFollowModel.ignoreIDs", "junctionModel.ignoreIDs")
 
@@ -450,7 +451,8 @@ class LogWorld:
             pose = self.av.sumo_pose()
             x, y = tracks.position_m[row, self._now]
             moved = float(np.hypot(pose.x_m - x, pose.y_m - y))
-            self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
+            if moved >= _MOVED_M:
+                self._note("moved_onto_route", f"by {moved:.2f} m: it starts between lanes")
         if self._case.net.ghost_edge is not None:
             detail = "the AV drives on a lane of its own, from which SUMO sees no other vehicle"
             self._note("ghost_edge", detail)

@@ -183,6 +183,16 @@ def test_a_run_counts_whose_worker_dies_before_it_says_that_it_is_done(tiny, tmp
     assert same_bytes.differences(tmp_path / "whole", out) == []
 
 
+def test_a_run_without_a_result_fails_alone(tiny, tmp_path, monkeypatch):
+    def gone(store, left, options):
+        yield workers.Finished(index=0, status="done")
+
+    monkeypatch.setattr(batch, "_endings", gone)
+    specs = [spec.load(tiny_network.spec(tiny, "once"))]
+    (found,) = batch.run(specs, batch.Options(out=tmp_path / "out"))
+    assert (found["status"], found["error"]) == ("failed", "its worker has left no result")
+
+
 def test_what_a_killed_sweep_began_is_gone_after_a_resume(tiny, tmp_path):
     specs, out = [spec.load(tiny_network.spec(tiny, "once"))], tmp_path / "out"
     (made,) = batch.run(specs, batch.Options(out=out))

@@ -64,6 +64,12 @@ class Interrupt(_Planner):
 class Unspeakable(_Planner):
     def go_wrong(self): raise Odd("no file " + os.fsdecode(bytes([255])))
 
+class Silent(Exception):
+    def __str__(self): raise RuntimeError("no text")
+
+class Mute(_Planner):
+    def go_wrong(self): raise Silent
+
 class Generator(_Planner):
     def go_wrong(self): raise GeneratorExit
 
@@ -104,6 +110,7 @@ BLAMED = {
     "Base": "planner_error: Odd: odd (see log.txt)",
     "Interrupt": "planner_error: KeyboardInterrupt: (see log.txt)",
     "Unspeakable": r"planner_error: Odd: no file \udcff (see log.txt)",
+    "Mute": "planner_error: Silent: its text cannot be read (see log.txt)",
     "Generator": "planner_error: GeneratorExit: (see log.txt)",
     "Leave": "planner_error: the planner ended its process (exit code 0; see log.txt).",
     "Crash": "planner_error: the planner ended its process (SIGSEGV; see log.txt).",
