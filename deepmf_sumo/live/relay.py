@@ -182,7 +182,8 @@ def _serve(
             tell("complaint", f"SUMO was ended: {error}")
             tell("stuck")  # before it ends: `attach` sees that immediately
             tell("left")
-            system.kill(pids[0])  # it may heed no other
+            with contextlib.suppress(ProcessLookupError):
+                system.kill(pids[0])  # it may heed no other
         except (OSError, EOFError) as error:
             tell("complaint", f"the connection broke off: {error}")
             tell("left")

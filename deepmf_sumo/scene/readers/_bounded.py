@@ -64,8 +64,11 @@ def each(work: Callable[[], Iterator[T]]) -> Iterator[T]:
                 yield value
     finally:
         if status is None:
-            system.kill(pid)
-            os.waitpid(pid, 0)
+            with contextlib.suppress(
+                ProcessLookupError, ChildProcessError
+            ):  # interrupted as it was reaped
+                system.kill(pid)
+                os.waitpid(pid, 0)
     raise EndedError(_reason(os.waitstatus_to_exitcode(status)))
 
 

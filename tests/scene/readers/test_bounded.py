@@ -47,6 +47,20 @@ def refuse():
     raise ReaderError("no lanes")
 
 
+def test_an_interrupt_as_the_process_is_reaped_is_passed_on(monkeypatch):
+    reap = os.waitpid
+
+    def reap_and_interrupt(pid, options):
+        reap(pid, options)
+        raise KeyboardInterrupt
+
+    found = _bounded.each(crash)
+    assert next(found) == 1
+    monkeypatch.setattr(os, "waitpid", reap_and_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        next(found)
+
+
 @pytest.mark.parametrize(
     ("work", "reason"),
     [
