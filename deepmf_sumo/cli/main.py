@@ -153,6 +153,10 @@ def run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_CODES["failed"]
     except Exception as error:  # noqa: BLE001 - people get a line; --debug shows the rest
+        # Python before 3.12 makes a RuntimeError of what comes as a class is made, on import
+        if isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt):
+            click.echo("deepmf-sumo: interrupted", err=True)
+            return EXIT_CODES["interrupted"]
         if debug:
             traceback.print_exception(error)
         text, code = _told(error)

@@ -239,6 +239,20 @@ def test_errors_are_a_line_and_a_code(monkeypatch, capsys, error, code, text):
     assert "Traceback" not in captured
 
 
+def test_an_interrupt_as_a_class_is_made_is_an_interrupt(monkeypatch, capsys):
+    class Named:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    @click.command()
+    def command():
+        type("Made", (), {"one": Named()})
+
+    monkeypatch.setattr(main.Commands, "get_command", lambda *_: command)
+    assert main.run(["run"]) == 130
+    assert capsys.readouterr().err == "deepmf-sumo: interrupted\n"
+
+
 def test_debug_shows_where(monkeypatch, capsys):
     @click.command()
     def command():
