@@ -138,7 +138,7 @@ def run(arguments: list[str]) -> int:
         click.echo(f"deepmf-sumo: {line}", err=True)
     given += arguments[end:]
     try:
-        code = commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
+        code = _done(given)
     except click.NoSuchOption as error:
         told = gone.explained(error)
         told.show()
@@ -153,16 +153,23 @@ def run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_CODES["failed"]
     except Exception as error:  # noqa: BLE001 - people get a line; --debug shows the rest
-        # Python before 3.12 makes a RuntimeError of what comes as a class is made, on import
-        if isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt):
-            click.echo("deepmf-sumo: interrupted", err=True)
-            return EXIT_CODES["interrupted"]
         if debug:
             traceback.print_exception(error)
         text, code = _told(error)
         click.echo(f"deepmf-sumo: {shown(' '.join(text.split()))}", err=True)
         return code
     return code if isinstance(code, int) else 0
+
+
+def _done(given: list[str]) -> object:
+    """What the command gives back."""
+    try:
+        return commands.main(given, prog_name="deepmf-sumo", standalone_mode=False)
+    except RuntimeError as error:
+        # Python before 3.12 makes this of an interrupt that comes as a class is made, on import
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        raise
 
 
 def _sumo_home_first(arguments: list[str]) -> list[str]:
