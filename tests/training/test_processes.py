@@ -75,3 +75,17 @@ def alive(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_one_that_leaves_within_a_callback_says_nothing():
+    code = """if True:
+        import os, signal, weakref
+        from deepmf_sumo.training import processes
+        signal.signal(signal.SIGTERM, processes._leave)
+        class Thing: pass
+        thing = Thing()
+        watched = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGTERM))
+        del thing
+    """
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stderr == ""
