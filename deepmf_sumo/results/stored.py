@@ -280,9 +280,6 @@ def result_of(file: Path, *, whole: bool = False) -> Result:
         ) from None
     if not is_run_id(found["run_id"]):
         raise _damaged(file, f"run_id: {found['run_id'][:80]!r} is not the id of a run", _AGAIN)
-    wrong = result.not_finite(found)
-    if wrong:
-        raise _damaged(file, f"{wrong} is not a finite number", _AGAIN)
     return cast(Result, found)
 
 
@@ -456,6 +453,8 @@ def mapping(file: Path, *, again: str = "run it again") -> dict[str, Any]:
         raise _damaged(file, "nested too deeply", again) from None
     if not isinstance(found, dict):
         raise _damaged(file, "it is not a mapping of names to values", again)
+    if wrong := result.not_finite(found):  # e.g. 1e400: nothing here writes that
+        raise _damaged(file, f"{wrong} is not a finite number", again)
     return found
 
 

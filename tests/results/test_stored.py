@@ -137,6 +137,12 @@ def test_numbers_that_are_none_are_named(tmp_path):
         stored.result_of(tmp_path / "result.json")
 
 
+def test_a_manifest_with_such_a_number_is_damaged(tmp_path):
+    (tmp_path / "manifest.json").write_text('{"machine": {"timeout_s": 1e400}}')
+    with pytest.raises(UsageError, match=r"machine\.timeout_s is not a finite number"):
+        stored.manifest_of(tmp_path)
+
+
 def test_a_device_in_place_of_a_result(tmp_path):
     (tmp_path / "result.json").symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="it is a device, not a regular file"):
