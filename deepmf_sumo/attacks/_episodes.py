@@ -69,7 +69,7 @@ class Scouted:
 
 
 class Scout:
-    """The policy of the survey episode: chooses an opponent, but does not drive it.
+    """The policy of the unattacked episode: chooses an opponent, but does not drive it.
 
     The choice is not reported as the opponent, since the episode would end at its first contact
     with the AV.

@@ -246,7 +246,7 @@ def _stood(rollout: Rollout, meeting: Meeting) -> bool:
 def _ran_light(episode: Episode, meeting: Meeting) -> bool:
     """Whether the AV passed a red light before the contact.
 
-    Where it may turn on red that is no error by itself; priority decides.
+    A turn on red where it is allowed is not an error by itself; priority decides.
     """
     rollout = episode.rollout
     if meeting.road is None or may_turn_on_red(episode.case, meeting.turn_rad(0)):

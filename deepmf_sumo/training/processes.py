@@ -67,7 +67,7 @@ def _done(work: Callable[..., Any], *given: Any, **named: Any) -> Any:
 
 def _leave(number: int, frame: object) -> NoReturn:  # noqa: ARG001 - as `signal` wants it
     _leaving.set()
-    sys.unraisablehook = lambda _: None  # within a callback it is ignored, and nobody reads that
+    sys.unraisablehook = lambda _: None  # Python prints an exit within a callback
     sys.exit(1)
 
 

@@ -76,7 +76,7 @@ def test_seconds_end_a_search(name):
     assert found.generation_s < 2.0
     assert found.simulations == world.episodes >= 2
     found, _ = attack(name, budget=Budget(seconds=0.0))
-    assert found.simulations == 2  # survey, and one attack that is better than none
+    assert found.simulations == 2  # the unattacked episode, and one attack that is better than none
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -45,7 +45,7 @@ class RoadUserMotions:
         size_m: (V, 2) length and width.
         parts: (V) the road user that each is a part of, else its own index: ascending. A vehicle
             that bends is several boxes. None: no road user has parts.
-        on_foot: (V) those whose conflicts with each other do not count. None: nobody.
+        on_foot: (V) whether it walks: two of these have no conflict. None: none of them walks.
         step: (K) not decreasing. body: (K) index of the road user, ascending within a step.
         position_m: (K, 2) box centres. heading_rad, speed_mps, z_m: (K).
         lane: (K) index of a lane. edge_of_lane: (L) index of the lane's edge.

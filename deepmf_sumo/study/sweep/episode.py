@@ -2,6 +2,7 @@
 
 import functools
 import os
+import pickle
 import shutil
 import time
 import traceback
@@ -416,14 +417,15 @@ def planner_of(task: Task) -> Planner:
 
 def _adversary_of(task: Task) -> Any:
     choice = task.spec.adversary
-    settings = yaml.safe_dump(choice.settings)  # JSON has no dates and no sets, and YAML has
+    settings = pickle.dumps(choice.settings)  # JSON has no dates and no sets; YAML takes long
     return _adversary(choice.name, settings, task.spec.weights)
 
 
 @functools.lru_cache(maxsize=64)
-def _adversary(name: str, settings: str, weights: str) -> Any:
+def _adversary(name: str, settings: bytes, weights: str) -> Any:
     """Kept between tasks: loading its weights takes longer than an episode."""
-    checked = plugins.settings("adversaries", name, yaml.safe_load(settings))
+    given = pickle.loads(settings)  # noqa: S301 - `_adversary_of` wrote it
+    checked = plugins.settings("adversaries", name, given)
     return plugins.load("adversaries", name).build(checked, weights)
 
 

@@ -35,10 +35,10 @@ def _on_route(api: SumoApi, vehicle_id: AgentId, lane: str) -> bool:
     if not lane.startswith(":"):
         return edge_of(lane) == edge
     starts = (f"{edge}_{number}" for number in range(int(api.edge.getLaneNumber(edge))))
-    return any(lane in inner_lanes(api, start) for start in starts)
+    return any(lane in _inner_lanes(api, start) for start in starts)
 
 
-def inner_lanes(api: SumoApi, lane: str) -> Iterator[str]:
+def _inner_lanes(api: SumoApi, lane: str) -> Iterator[str]:
     """The lanes inside a junction that lead on from a lane."""
     left, seen = [lane], {lane}
     while left:
