@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from deepmf_sumo.scene import Polygon, Polyline, RoadMap, Scene
 from deepmf_sumo.scene.readers import Refusal, npz, read_by, womd
+from deepmf_sumo.scene.readers.raw import repair
 
 from tests.support import recordings_by_hand as by_hand
 
@@ -93,6 +94,19 @@ def test_what_is_beside_the_road_is_checked(scene, tmp_path, beside, points, nam
     (found,) = read_by(npz, tmp_path / "scene.npz")
     assert isinstance(found, Refusal)
     assert told in found.reason
+
+
+@pytest.mark.parametrize("beside", ["buildings", "footways", "water"])
+def test_what_is_beside_the_road_counts_for_the_size_of_a_map(scene, tmp_path, monkeypatch, beside):
+    road = scene.road
+    known = len(road.lanes) + len(road.lines) + len(road.edges) + len(road.polygons)
+    monkeypatch.setattr(repair, "MOST_FEATURES", known + len(road.stop_signs))
+    area = Polygon(id="a", kind="building", points_m=np.eye(3, 2), z_m=np.zeros(3))
+    for file, one in (("small.npz", road), ("large.npz", replace(road, **{beside: (area,)}))):
+        npz.write(replace(scene, road=one), tmp_path / file)
+    small, large = (next(read_by(npz, tmp_path / file)) for file in ("small.npz", "large.npz"))
+    assert isinstance(small, Scene)
+    assert "features" in large.reason
 
 
 def test_maps_without_it_are_written_as_before(scene, tmp_path):
