@@ -19,6 +19,7 @@ from deepmf_sumo.results.risk.places import Places, read
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.sumo.network.sumo_net import (
+    ROAD_VEHICLES,
     TURNS,
     NetEdge,
     NetFile,
@@ -32,7 +33,7 @@ from deepmf_sumo.sumo.network.sumo_net import (
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
 _CARS: Final = ("passenger", "private", "taxi")
-_MOTORS: Final = (*_CARS, "delivery", "truck", "trailer", "bus", "coach", "motorcycle")
+_MOTORS: Final = sorted({*ROAD_VEHICLES} - {"emergency", "authority", "army"})
 """Who meets whom is judged for all of them, e.g. on ways for deliveries; ends of lanes for cars."""
 _NEAR_M: Final = 2.5
 """Lines of foes that come no nearer than this have no common place."""
@@ -242,7 +243,7 @@ def for_cars(lane: NetLane) -> bool:
 
 def for_motors(lane: NetLane) -> bool:
     """Whether vehicles with a motor may use it, without emergency vehicles, trams and trains."""
-    return any(lane.allows(kind) for kind in _MOTORS)
+    return lane.road and any(lane.allows(kind) for kind in _MOTORS)
 
 
 def common_place(one: Way, two: Way) -> tuple[float, float] | None:

@@ -17,6 +17,7 @@ from deepmf_sumo.scene import DT_S, AgentId, Bools, Floats
 from deepmf_sumo.scene.geometry.ground import clear
 from deepmf_sumo.scene.road_users import ROAD_USERS
 from deepmf_sumo.spec import Who
+from deepmf_sumo.sumo.network.sumo_net import ROAD_VEHICLES
 from deepmf_sumo.sumo.simulation.road_users import kind_of
 from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, DemandVehicle, Ints, Sightings
 
@@ -189,10 +190,7 @@ STAYS_S: Final = 3.0
 _MOVES_M: Final = 3.0
 _ROUNDING_S: Final = 0.05
 
-_AV_CLASSES: Final = {
-    *("passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "evehicle"),
-    *("bus", "coach", "delivery", "truck", "trailer", "custom1", "custom2", "ignoring"),
-}
+_AV_CLASSES: Final = {*ROAD_VEHICLES, "ignoring"} - {"motorcycle", "moped"}
 
 
 def suitable(

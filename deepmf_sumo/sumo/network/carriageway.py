@@ -24,17 +24,15 @@ from deepmf_sumo.sumo.network.sumo_net import (
 )
 from deepmf_sumo.sumo.network.sumo_road import roadways
 
-_MOTOR: Final = (*ROAD_VEHICLES, *RAIL_VEHICLES)
-_DRIVING: Final = (*_MOTOR, "bicycle")
+_DRIVING: Final = (*ROAD_VEHICLES, *RAIL_VEHICLES, "bicycle")
 _REACHES_M: Final = (10.0, 50.0, 1e6)
 _NOT_HERE: Final = {*ON_FOOT, "connector"}
 
 
 def driven_on(lane: NetLane) -> bool:
     """Whether anything but people on foot moves on a lane, and bicycles on a path for both."""
-    if lane.allows("pedestrian"):
-        return any(lane.allows(one) for one in _MOTOR)
-    return any(lane.allows(one) for one in _DRIVING)
+    motor = lane.road or any(lane.allows(one) for one in RAIL_VEHICLES)
+    return motor or (lane.allows("bicycle") and not lane.allows("pedestrian"))
 
 
 def driver_of(lane: NetLane) -> str:

@@ -22,11 +22,16 @@ from deepmf_sumo.scene import Floats
 _LARGEST: Final = 2**32
 """Limit of an unpacked network in bytes; that of a country has a few GB."""
 
+OWN_CLASSES: Final = ("custom1", "custom2")
+"""Classes whose meaning is a network's own: e.g. lanes for automated vehicles, or parked cars."""
 ROAD_VEHICLES: Final = (
-    "passenger", "bus", "taxi", "delivery", "truck", "motorcycle", "emergency",
+    "passenger", "bus", "taxi", "delivery", "truck", "motorcycle", "emergency", "private",
+    "authority", "army", "vip", "hov", "evehicle", "coach", "trailer", "moped", *OWN_CLASSES,
 )  # fmt: skip
 RAIL_VEHICLES: Final = ("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway")
 """SUMO's classes of vehicles whose lanes are roads and tracks; bicycles are neither."""
+_NARROWEST_M: Final = 2.5
+"""Narrower lanes of `OWN_CLASSES` alone are strips for parked vehicles."""
 TURNS: Final = {
     "s": "straight",
     **dict.fromkeys("lL", "left"),
@@ -65,6 +70,12 @@ class NetLane:
         if self.allow is not None:
             return vehicle_class in self.allow or "all" in self.allow
         return not self.disallow & {vehicle_class, "all"}
+
+    @property
+    def road(self) -> bool:
+        """Whether road vehicles drive on the lane."""
+        own = self.width_m < _NARROWEST_M
+        return any(self.allows(one) for one in ROAD_VEHICLES if not (own and one in OWN_CLASSES))
 
     def area(self) -> BaseGeometry:
         """The lane with its width, along a line of at least two points."""

@@ -25,7 +25,6 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.scene import LaneKind, PolygonKind
 from deepmf_sumo.sumo.network.sumo_net import (
     ON_FOOT,
-    ROAD_VEHICLES,
     NetEdge,
     NetFile,
     NetLane,
@@ -307,7 +306,7 @@ def _kind(edge: NetEdge, lane: NetLane) -> LaneKind | None:
     """Kind of a lane; None for those that only pedestrians, trains or ships use."""
     if edge.function in {*ON_FOOT, "connector"}:
         return None
-    if any(lane.allows(vehicle) for vehicle in ROAD_VEHICLES):
+    if lane.road:
         fast = lane.speed_mps > _FREEWAY_MPS or "motorway" in edge.type
         return "freeway" if fast else "street"
     return "bike" if lane.allows("bicycle") else None

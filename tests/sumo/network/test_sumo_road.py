@@ -1,5 +1,6 @@
 import gzip
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ import sumolib
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.sumo import network
 from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.network.carriageway import driven_on
+from deepmf_sumo.sumo.network.sumo_net import NetLane, read_net
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, road_once, signal_links
+from deepmf_sumo.sumo.simulation.road_users import kind_of
 
 from tests.support import pavements
 
@@ -215,6 +219,57 @@ def test_buildings_are_kept_apart_from_what_is_painted_on_the_road(grid, tmp_pat
     assert [one.id for one in road.polygons] == [*(one.id for one in plain.polygons), "d"]
     assert [one.id for one in road.water] == ["e"]
     assert plain.buildings == plain.water == ()
+
+
+OLD_CLASSES = {"transport", "lightrail", "cityrail", "rail_slow"}
+CLASSES = {
+    one
+    for one in sumolib.net.lane.SUMO_VEHICLE_CLASSES - OLD_CLASSES
+    if not one.startswith("public_")
+}
+
+
+@pytest.mark.parametrize("permission", sorted(CLASSES))
+def test_a_lane_for_vehicles_of_one_class_is_a_road_as_a_lane_for_all_is(tmp_path, permission):
+    """With the same lines and joins; the classes are those that sumolib lists."""
+    for_all = road_of_net(_one_class(tmp_path, ""))
+    found = road_of_net(_one_class(tmp_path, f' allow="{permission}"'))
+    assert {one.kind for one in for_all.lanes.values()} == {"street"}
+    if kind_of(permission) == "vehicle":
+        assert found.lanes.keys() == for_all.lanes.keys()
+        assert {one.kind for one in found.lanes.values()} == {"street"}
+        assert [one.id for one in found.edges] == [one.id for one in for_all.edges]
+        assert all(driven_on(lane) for lane in _lanes(tmp_path))
+    else:
+        assert {one.kind for one in found.lanes.values()} <= {"bike"}
+        assert bool(found.lanes) == (permission == "bicycle")
+
+
+@pytest.mark.parametrize(("width_m", "lanes"), [(2.6, 2), (2.2, 0)])
+def test_narrow_lanes_of_a_class_of_the_networks_own_are_strips_for_parked_cars(
+    tmp_path, width_m, lanes
+):
+    file = _one_class(tmp_path, f' allow="custom1" width="{width_m}"')
+    assert len(road_of_net(file).lanes) == lanes
+    assert [driven_on(lane) for lane in _lanes(tmp_path)] == [lanes > 0] * 2
+    assert len(road_of_net(_one_class(tmp_path, f' allow="bus" width="{width_m}"')).lanes) == 2
+
+
+def _one_class(folder: Path, attributes: str) -> Path:
+    """A road of two lanes with the attributes."""
+    lanes = "".join(
+        f'<lane id="ab_{row}" index="{row}" speed="13.9" length="90"{attributes} '
+        f'shape="0,{3 * row} 90,{3 * row}"/>'
+        for row in (0, 1)
+    )
+    file = folder / "class.net.xml"
+    file.write_text(f'<net version="1.20"><edge id="ab" from="a" to="b">{lanes}</edge></net>')
+    return file
+
+
+def _lanes(folder: Path) -> list[NetLane]:
+    net = read_net(folder / "class.net.xml")
+    return [lane for edge in net.edges.values() for lane in edge.lanes]
 
 
 def test_footways_are_the_sidewalks_and_walking_areas(tmp_path):
