@@ -15,12 +15,11 @@ from deepmf_sumo import files
 from deepmf_sumo.errors import SimulationError, UsageError
 from deepmf_sumo.scene import Bools, Floats
 from deepmf_sumo.spec import Moments
-from deepmf_sumo.sumo.network.sumo_net import NetFile, elements, points, read_once
+from deepmf_sumo.sumo.network.sumo_net import NetFile, elements, points, read_once, truth
 from deepmf_sumo.sumo.simulation.traffic_survey import Sightings
 
 _LARGEST: Final = 2**26
 _POLYGONS: Final = {"Polygon", "MultiPolygon"}
-_YES: Final = {"1", "true", "yes", "on", "x", "t"}
 _SLOWEST_MPS: Final = 3.0
 """A vehicle that stands now may be at the junction soon."""
 
@@ -78,7 +77,7 @@ def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Atta
     polygon, geographic = None, False
     if asked.polygon is not None:
         polygon, geographic = read_polygon(asked.polygon, named("polygon"))
-        if geographic and not _projected(net_file):
+        if geographic and net.location.projection in {"!", "-"}:
             raise UsageError(
                 f"{named('polygon')} {asked.polygon}: it has longitudes and latitudes, and"
                 f" {net_file.name} has no projection; give polygons of SUMO (<poly>) in metres."
@@ -100,13 +99,6 @@ def _known(option: str, kind: str, names: Sequence[str], known: Sequence[str]) -
                 f"{option} {name}: no such {kind} is in the network; there are"
                 f" {', '.join(near)}{' and others' * (len(known) > len(near))}."
             )
-
-
-def _projected(net_file: Path) -> bool:
-    for element in elements(net_file, "net"):
-        if element.tag == "location":
-            return element.get("projParameter", "!") not in {"!", "-"}
-    return False
 
 
 def read_polygon(file: Path, option: str) -> tuple[BaseGeometry, bool]:
@@ -155,7 +147,7 @@ def _of_sumo(file: Path) -> tuple[BaseGeometry, bool] | None:
             corners = points(element.get("shape", ""))[:, :2]
             if len(corners) > 2:
                 drawn.append(shapely.make_valid(shapely.Polygon(corners)))
-                kinds.add(element.get("geo", "") in _YES)
+                kinds.add(truth(element.get("geo", "")))
     if len(kinds) > 1:
         return None
     return shapely.unary_union(drawn), kinds == {True}

@@ -229,7 +229,7 @@ def _keeps_left(file: Path) -> bool:
     """Whether the first element of a file says so."""
     with _opened(file) as stream:
         _, top = next(ET.iterparse(stream, events=("start",)))  # noqa: S314 (the user's own)
-        return top.get("lefthand", "") in {"true", "1", "yes", "on", "x", "t"}
+        return truth(top.get("lefthand", ""))
 
 
 @files.while_unchanged(4)
@@ -278,6 +278,11 @@ def points(text: str) -> Floats:
     if not np.isfinite(found).all():
         raise ValueError(f"the shape {text!r:.80} has numbers that are not finite")
     return found
+
+
+def truth(text: str) -> bool:
+    """What SUMO takes an attribute for that is true or false; it ignores capitals."""
+    return text.lower() in {"1", "yes", "true", "on", "x", "t"}
 
 
 def number(element: ET.Element, name: str, default: float) -> float:

@@ -18,6 +18,7 @@ from typing import Final
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import AgentId, TrafficCase, VehicleModel
+from deepmf_sumo.sumo.network.sumo_net import truth
 from deepmf_sumo.sumo.network.sumo_road import road_once
 from deepmf_sumo.sumo.simulation import sumo_options, sumo_words
 from deepmf_sumo.sumo.simulation.sumo_api import (
@@ -77,7 +78,6 @@ class Configuration:
 
 
 _MORE_DEMAND = {"load-state", "device.fcd-replay.files"}
-_NO = {"false", "0", "no", "off", "f", "-"}
 
 
 def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
@@ -100,7 +100,7 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
         raise SimulationError(
             f"'{file}' names {1 + len(others) if net else 0} networks; name one in <net-file>."
         )
-    if options.get("mesosim", "false").lower() not in _NO:
+    if truth(options.get("mesosim", "false")):
         raise SimulationError(
             f"'{file}' asks for SUMO's mesoscopic model (mesosim), which has no positions of"
             " vehicles, so that none can be hit; run it without, e.g. '-- --mesosim false'."

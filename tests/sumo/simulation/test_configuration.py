@@ -1,8 +1,10 @@
 """What has to be known of a .sumocfg before SUMO is started with it."""
 
+import libsumo
 import pytest
 
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.sumo.network.sumo_net import truth
 from deepmf_sumo.sumo.simulation.sumo_config import SUMO_SEED, read_configuration
 
 from tests.support.tiny_network import build
@@ -38,3 +40,18 @@ def test_a_seed_that_cannot_be_used_is_refused_not_replaced(tmp_path, text):
     with pytest.raises(SimulationError) as error:
         _ = configuration.seed
     assert f"tiny.sumocfg' has seed '{text}', which is not a whole number" in str(error.value)
+
+
+def test_true_and_false_are_what_sumo_reads(tmp_path):
+    build(tmp_path)
+    texts = ["1", "Yes", "TRUE", "on", "X", "t", "0", "No", "False", "off", "F", "-"]
+    drawn = "".join(f'<poly id="{one}" fill="{one}" shape="0,0 1,0 1,1"/>' for one in texts)
+    (tmp_path / "drawn.add.xml").write_text(f"<additional>{drawn}</additional>")
+    files = ["-n", str(tmp_path / "tiny.net.xml"), "-a", str(tmp_path / "drawn.add.xml")]
+    libsumo.start(["sumo", *files])
+    try:
+        filled = {one: bool(libsumo.polygon.getFilled(one)) for one in texts}
+    finally:
+        libsumo.close()
+    assert filled == {one: truth(one) for one in texts}
+    assert set(filled.values()) == {True, False}
