@@ -344,6 +344,7 @@ def _build(scene: Scene, folder: Path) -> SumoNet:
         additional=mapping.write_additional(
             [*scene.road.polygons, *scene.road.buildings, *scene.road.water],
             folder / mapping.ADDITIONAL_FILE,
+            flat=True,
         ),
         pieces=pieces,
         lane_of=placed.lane_of,

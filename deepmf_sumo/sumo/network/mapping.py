@@ -11,7 +11,15 @@ import numpy as np
 
 from deepmf_sumo import files
 from deepmf_sumo.errors import ConversionError
-from deepmf_sumo.scene import ConversionReport, LanePiece, Polygon, RoadMap, SignalLink, SumoNet
+from deepmf_sumo.scene import (
+    ConversionReport,
+    Floats,
+    LanePiece,
+    Polygon,
+    RoadMap,
+    SignalLink,
+    SumoNet,
+)
 from deepmf_sumo.sumo.network.plain_net import coordinates
 
 NET_FILE: Final = "net.net.xml"
@@ -107,12 +115,15 @@ def beside(road: RoadMap) -> list[Polygon]:
     return [*added, *road.buildings, *road.water]
 
 
-def write_additional(shapes: Sequence[Polygon], file: Path) -> Path:
-    """Polygons that sumo-gui draws, and that `road_of_net` takes."""
+def write_additional(shapes: Sequence[Polygon], file: Path, *, flat: bool = False) -> Path:
+    """Polygons that sumo-gui draws, and that `road_of_net` takes.
+
+    ``flat``: without their heights, for a converted net, which has none.
+    """
     lines = [
         f"    <poly id={quoteattr(shape.kind + '_' + shape.id)} type={quoteattr(shape.kind)} "
         f'color="{_COLORS[shape.kind]}" fill="1" layer="{1 if shape.kind in _ABOVE else -2}" '
-        f'shape="{coordinates(np.vstack([shape.points_m, shape.points_m[:1]]))}"/>'
+        f'shape="{coordinates(_ring(shape, flat=flat))}"/>'
         for shape in shapes
         if len(shape.points_m) > 2
     ]
@@ -122,6 +133,12 @@ def write_additional(shapes: Sequence[Polygon], file: Path) -> Path:
         encoding="utf-8",
     )
     return file
+
+
+def _ring(shape: Polygon, *, flat: bool) -> Floats:
+    """The closed outline (P, 3), or (P, 2) where nothing is known of heights."""
+    known = shape.points_m if flat or not shape.z_m.any() else np.c_[shape.points_m, shape.z_m]
+    return np.vstack([known, known[:1]])
 
 
 def write_config(folder: Path) -> Path:

@@ -109,10 +109,10 @@ def write(blueprint: Blueprint, folder: Path) -> tuple[Path, Path, Path]:
 
 
 def coordinates(points_m: Floats) -> str:
-    """A polyline (P, 2) as SUMO writes it, to the millimetre."""
+    """A polyline (P, 2) or (P, 3) as SUMO writes it, to the millimetre."""
     # Adding 0.0 turns -0.0 into 0.0.
     rows = (points_m.round(3) + 0.0).tolist()
-    return " ".join(f"{x:.3f},{y:.3f}" for x, y in rows)
+    return " ".join(",".join(f"{one:.3f}" for one in row) for row in rows)
 
 
 def _document(root: str, lines: Iterable[str]) -> str:

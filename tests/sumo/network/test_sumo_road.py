@@ -9,7 +9,7 @@ import sumolib
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.sumo import network
-from deepmf_sumo.sumo.network import sumo_tools
+from deepmf_sumo.sumo.network import mapping, sumo_tools
 from deepmf_sumo.sumo.network.carriageway import driven_on
 from deepmf_sumo.sumo.network.sumo_net import NetLane, read_net
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, road_once, signal_links
@@ -219,6 +219,27 @@ def test_buildings_are_kept_apart_from_what_is_painted_on_the_road(grid, tmp_pat
     assert [one.id for one in road.polygons] == [*(one.id for one in plain.polygons), "d"]
     assert [one.id for one in road.water] == ["e"]
     assert plain.buildings == plain.water == ()
+
+
+def test_what_lies_beside_a_network_keeps_its_heights_in_results(grid, tmp_path):
+    """A driveway on a bridge is not on the road below; SUMO reads the file, too."""
+    given, kept = tmp_path / "given.add.xml", tmp_path / "kept.add.xml"
+    corners = "0,0,6 10,0,6 10,10,6.5 0,10,6.5"
+    given.write_text(
+        "<additional>"
+        f'<poly id="a" type="driveway" shape="{corners}"/>'
+        f'<poly id="b" type="building" shape="{corners}"/>'
+        '<poly id="c" type="water" shape="0,0 10,0 10,10"/>'
+        "</additional>"
+    )
+    road = road_of_net(grid, [given])
+    mapping.write_additional(mapping.beside(road), kept)
+    again = road_of_net(grid, [kept])
+    for mine, its in zip(mapping.beside(road), mapping.beside(again), strict=True):
+        assert (mine.kind, mine.points_m.tolist()) == (its.kind, its.points_m.tolist())
+        assert mine.z_m.tolist() == its.z_m.tolist()
+    assert [one.z_m.max() for one in mapping.beside(road)] == [6.5, 6.5, 0.0]
+    sumo_tools.run("sumo", "-n", str(grid), "-a", str(kept), "--end", "1")
 
 
 OLD_CLASSES = {"transport", "lightrail", "cityrail", "rail_slow"}
