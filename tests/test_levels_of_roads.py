@@ -18,7 +18,10 @@ from deepmf_sumo.deepmf.situation import Situation
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.exporters.scene import scene_of
 from deepmf_sumo.judge.avoidability.av_path import keeps_lane, route_ahead
-from deepmf_sumo.scene import DT_S, Lane, Plan, RoadMap, View
+from deepmf_sumo.judge.avoidability.intention import intends_since
+from deepmf_sumo.judge.crossings import on_crossing
+from deepmf_sumo.judge.metrics.driving import lights_passed
+from deepmf_sumo.scene import DT_S, Lane, Plan, Polygon, RoadMap, SignalState, View
 from deepmf_sumo.scene.geometry import road as roads
 from deepmf_sumo.scene.road_users import MotionLimits
 from deepmf_sumo.sumo.network import matching
@@ -237,3 +240,35 @@ def test_under_a_bridge_a_candidate_of_diffscene_touches_nothing():
         scouted = SimpleNamespace(view=view, rollout=rollout, opponent_id="b")
         found = diffscene._first_other(scouted, tracked)[0]
         assert found == first if first else found < 81
+
+
+def test_lights_and_crossings_are_of_one_level():
+    """An AV drives over a light at red and a crossing, on the deck above or on their road."""
+    square = np.array([(-2.0, -4.0), (2.0, -4.0), (2.0, 4.0), (-2.0, 4.0)])
+    lights = (
+        lane("to", (-100, 0), (-20, 0), 0.0),
+        replace(lane("below", (-20, 0), (100, 0), 0.0), previous=("to",)),
+        lane("above", (-100, 0.5), (100, 0.5), 8.0),
+    )
+    marked = Polygon(id="x", kind="crosswalk", points_m=square, z_m=np.zeros(4))
+    road = replace(road_of(*lights), polygons=(marked,))
+    rollout = rollout_of({"av": straight(-60, 0, 12), "b": straight(0, 0, 0)})
+    red = ({"below": SignalState.STOP},) * 80
+    for height, passed in ((0.0, {SignalState.STOP}), (8.0, set())):
+        tracks = replace(rollout.tracks, z_m=np.full(rollout.tracks.z_m.shape, height))
+        driven = replace(rollout, tracks=tracks, signals=red)
+        assert lights_passed(driven, road, 0, np.zeros(2)) == passed
+        meeting = SimpleNamespace(tracks=tracks, other=1, step=40)
+        assert on_crossing(road, meeting) == bool(passed)
+
+
+def test_a_person_below_a_bridge_is_not_on_its_road():
+    """A plan knows the heights as the judgement does; the AV comes on the bridge."""
+    bridge = road_of(lane("above", (-100, 0), (100, 0), 8.0), lane("far", (0, 40), (10, 40), 0.0))
+    crossed = road_of(*bridge.lanes.values(), lane("under", (60, -50), (60, 50), 0.0))
+    stands, av = np.zeros((1, 20, 2)), straight(-30, 0, 10)[:20, :2]
+    since = [
+        intends_since(crossed, stands, av, np.array([15]), DT_S, heights)[0]
+        for heights in (None, (np.zeros((1, 20)), np.full(20, 8.0)))
+    ]
+    assert since == [0, 15]

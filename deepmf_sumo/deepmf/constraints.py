@@ -249,9 +249,23 @@ def _understood(
         np.concatenate([past.av[:, :2], here[1:], av_m]),
         np.where(meets, touch.argmax(axis=1) + own_m.shape[1], 0),
         view.dt_s,
+        _heights_m(situation, own_m.shape[1], futures, av_m),
     )
     # a person that would miss the AV gives its driver no reason to act
     return np.where(meets, since, touch.shape[1] + own_m.shape[1])
+
+
+def _heights_m(
+    situation: Situation, known: int, futures: Futures, av_m: Floats
+) -> tuple[Floats, Floats] | None:
+    """(N, K) of the opponent and (K) of the AV; at the ``known`` first steps those of now."""
+    levels = situation.levels
+    if levels is None:
+        return None
+    own_z_m = levels.opponent_z_m(futures.position_m)
+    now = np.full((len(own_z_m), known), levels.opponent[2])
+    av_z_m = levels.av_z_m(av_m[None])[0]
+    return np.concatenate([now, own_z_m], 1), np.append(np.full(known, levels.av[2]), av_z_m)
 
 
 def _state(view: View, agent_id: AgentId) -> VehicleState:

@@ -14,6 +14,7 @@ from deepmf_sumo.judge.conflict_types import Meeting, Who
 from deepmf_sumo.judge.metrics.driving import passed_green
 from deepmf_sumo.scene import Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import road
+from deepmf_sumo.scene.geometry.ground import on_level
 
 CROSSING_M: Final = 1.0
 """So far beside the markings people still use a crossing."""
@@ -27,8 +28,10 @@ _MOSTLY: Final = 0.5
 def on_crossing(road_map: RoadMap, meeting: Meeting) -> bool:
     """Whether the other was on a pedestrian crossing, or a metre beside it, at the contact."""
     place = shapely.Point(meeting.tracks.position_m[meeting.other, meeting.step])
+    z_m = meeting.tracks.z_m[meeting.other, meeting.step]
     return any(
         shapely.dwithin(shapely.Polygon(one.points_m), place, CROSSING_M)
+        and on_level(road_map, z_m, one.z_m.mean())
         for one in road_map.polygons
         if one.kind == "crosswalk" and len(one.points_m) > 2
     )

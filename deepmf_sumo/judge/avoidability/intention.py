@@ -35,6 +35,7 @@ from deepmf_sumo.judge.avoidability.reference_drivers import (
 )
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, Tracks
 from deepmf_sumo.scene.geometry import road, sight
+from deepmf_sumo.scene.geometry.ground import on_level
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 from deepmf_sumo.scene.road_users import ROAD_USERS, road_user
 
@@ -99,7 +100,12 @@ def shown_since(
 
 
 def intends_since(
-    road_map: RoadMap, position_m: Floats, av_m: Floats, contact: Ints, dt_s: float
+    road_map: RoadMap,
+    position_m: Floats,
+    av_m: Floats,
+    contact: Ints,
+    dt_s: float,
+    heights_m: tuple[Floats, Floats] | None = None,
 ) -> Ints:
     """(N) steps from which on futures of a person show its intention, without a break.
 
@@ -112,18 +118,21 @@ def intends_since(
         contact: (N) steps at which they touch: only steps before count. Where nothing is shown
             before, it is these. 0 where they do not touch.
         dt_s: of a step.
+        heights_m: (N, K) of the person and (K) of the AV, where the road passes over itself.
     """
     steps = position_m.shape[1]
     row, step = np.nonzero(np.arange(steps) < contact[:, None])
     shows = np.ones(position_m.shape[:2], bool)
     here_m = position_m[row, step]
-    there = road.on_road(road_map, here_m) | ~road.on_road(road_map, av_m)[step]
+    z_m, av_z_m = (None, None) if heights_m is None else (heights_m[0][row, step], heights_m[1])
+    there = road.on_road(road_map, here_m, z_m) | ~road.on_road(road_map, av_m, av_z_m)[step]
     before = np.maximum(step - round(_PACE_S / dt_s), 0)
     seconds = np.maximum(step - before, 1) * dt_s
     was_m = position_m[row, before]
     fast = np.hypot(*(here_m - was_m).T) / seconds > _FASTEST_WALK_MPS
     look = np.flatnonzero(fast & ~there)
-    away, was = (_to_road_m(road_map, each[look]) for each in (here_m, was_m))
+    look_z_m = None if z_m is None else z_m[look]
+    away, was = (_to_road_m(road_map, each[look], look_z_m) for each in (here_m, was_m))
     there[look] = (was - away) / seconds[look] > _FASTEST_WALK_MPS
     shows[row, step] = there
     last = steps - 1 - (~shows)[:, ::-1].argmax(axis=1)
@@ -168,18 +177,27 @@ def _intends(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> Bool
     """(K) whether a person is on the road or moves towards it faster than people walk."""
     tracks = rollout.tracks
     before = np.maximum(steps - round(_PACE_S / rollout.dt_s), 0)
-    away, was = (_to_road_m(road_map, tracks.position_m[row, at]) for at in (steps, before))
+    away, was = (
+        _to_road_m(road_map, tracks.position_m[row, at], tracks.z_m[row, at])
+        for at in (steps, before)
+    )
     seconds = np.maximum(steps - before, 1) * rollout.dt_s
     faster = (was - away) / seconds > _FASTEST_WALK_MPS
     known = tracks.valid[row, steps] & tracks.valid[row, before]
     return on_road(rollout, road_map, row, steps) | (faster & known)
 
 
-def _to_road_m(road_map: RoadMap, points_m: Floats) -> Floats:
-    """(K) distance of points (K, 2) to the nearest lane's edge; 20 m where none is nearer."""
+def _to_road_m(road_map: RoadMap, points_m: Floats, z_m: Floats | None) -> Floats:
+    """(K) distance of points (K, 2) to the nearest lane's edge; 20 m where none is nearer.
+
+    Heights (K): lanes of other levels do not count.
+    """
     lanes = road.lanes_for_cars(road_map)
     feet = lanes.feet(points_m, lanes.widest_m + _NEAR_M)
     away = np.hypot(*feet.away_m.T) - lanes.reach_m[lanes.lane[feet.segment]]
     found = np.full(len(points_m), _NEAR_M)
-    np.minimum.at(found, feet.point, np.maximum(away, 0.0))
+    level = np.ones(len(away), bool)
+    if z_m is not None:
+        level = on_level(road_map, z_m[feet.point], lanes.heights_m(feet))
+    np.minimum.at(found, feet.point[level], np.maximum(away, 0.0)[level])
     return found

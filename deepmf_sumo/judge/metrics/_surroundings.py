@@ -7,6 +7,7 @@ import numpy as np
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, once
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, SignalState
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of, on_level
 from deepmf_sumo.scene.signals import GOES, HALTS
 from deepmf_sumo.sumo.network.matching import match
 
@@ -41,13 +42,15 @@ class DrivenSteps(NamedTuple):
     """The AV at its K `driven_steps`.
 
     Attributes:
-        row: of the AV. steps: (K). position_m: (K, 2). heading_rad, speed_mps: (K). size_m: (2).
+        row: of the AV. steps: (K). position_m: (K, 2). z_m, heading_rad, speed_mps: (K).
+        size_m: (2).
         signals: (K) states of the lights before each step; empty where unknown.
     """
 
     row: int
     steps: Ints
     position_m: Floats
+    z_m: Floats
     heading_rad: Floats
     speed_mps: Floats
     size_m: Floats
@@ -64,6 +67,7 @@ class DrivenSteps(NamedTuple):
             row=row,
             steps=steps,
             position_m=tracks.position_m[row, steps],
+            z_m=tracks.z_m[row, steps],
             heading_rad=tracks.heading_rad[row, steps],
             speed_mps=tracks.speed_mps[row, steps],
             size_m=tracks.size_m[row, :2],
@@ -104,11 +108,12 @@ def approaches(episode: Episode) -> list[StopApproach]:
     if not rollout.signals:
         raise NotMeasurable("the rollout has no states of traffic lights")
     drive, road = DrivenSteps.of(episode), episode.case.road
-    groups: dict[tuple[float, float, float], list[driving.StopLine]] = {}
+    groups: dict[tuple[float, ...], list[driving.StopLine]] = {}
     for line in driving.stop_lines(rollout, episode.case):
         if np.hypot(*(drive.position_m - line.point_m).T).min() < _LIGHT_M:
             x, y = line.point_m.tolist()
-            groups.setdefault((round(x, 1), round(y, 1), round(line.half_m, 1)), []).append(line)
+            place = tuple(round(one, 1) for one in (x, y, line.z_m, line.half_m))
+            groups.setdefault(place, []).append(line)
     found = []
     for lines in groups.values():
         left_m = _left_m(drive, road, lines[0])
@@ -124,11 +129,11 @@ def _left_m(drive: DrivenSteps, road: RoadMap, line: driving.StopLine) -> Floats
     """(K) see `StopApproach`."""
     way = _way_to(road, line)
     front = drive.front_m
-    foot = polylines.project(way, front)
-    length = float(polylines.arc_lengths(way)[-1])
-    left_m = length - foot.along_m
+    foot, along = polylines.project(way[:, :2], front), polylines.arc_lengths(way[:, :2])
+    left_m = float(along[-1]) - foot.along_m
     on_it = (np.abs(foot.left_m) <= line.half_m / 2) & (foot.along_m > 0) & (left_m > 0)
     on_it &= np.cos(foot.heading_rad - drive.heading_rad) > _ALONG
+    on_it &= on_level(road, drive.z_m, np.interp(foot.along_m, along, way[:, 2]))
     ahead, aside = frames.to_local(front, line.point_m, line.heading_rad).T
     before = np.maximum.accumulate(on_it)  # beyond the line only for an AV that came over it
     beyond = before & (ahead > 0) & (ahead < drive.size_m[0] * 2) & (np.abs(aside) <= line.half_m)
@@ -136,23 +141,24 @@ def _left_m(drive: DrivenSteps, road: RoadMap, line: driving.StopLine) -> Floats
 
 
 def _way_to(road: RoadMap, line: driving.StopLine) -> Floats:
-    """(P, 2) centre line of the road that leads to a stop line."""
+    """(P, 3) centre line of the road that leads to a stop line."""
     lane = road.lanes[line.lane_id]
     begin = float(polylines.project(lane.centre_m, line.point_m).along_m)
-    own = lane.centre_m[polylines.arc_lengths(lane.centre_m) < begin]
-    parts, length, seen = [own, line.point_m[None]], begin, {lane.id}
+    end = np.append(line.point_m, line.z_m)
+    own = np.c_[lane.centre_m, lane.z_m][polylines.arc_lengths(lane.centre_m) < begin]
+    parts, length, seen = [own, end[None]], begin, {lane.id}
     while length < _LIGHT_M:
         before = [one for one in lane.previous if one in road.lanes and one not in seen]
         if not before or len(road.lanes[before[0]].centre_m) < 2:
             break
         lane = road.lanes[before[0]]
         seen.add(lane.id)
-        parts.insert(0, lane.centre_m)
+        parts.insert(0, np.c_[lane.centre_m, lane.z_m])
         length += float(polylines.arc_lengths(lane.centre_m)[-1])
     way = np.concatenate(parts)
-    way = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > 1e-6])]
+    way = way[np.concatenate([[True], np.hypot(*np.diff(way[:, :2], axis=0).T) > 1e-6])]
     if len(way) < 2:
-        way = np.stack([line.point_m - frames.unit(line.heading_rad), line.point_m])
+        way = np.stack([end - np.append(frames.unit(line.heading_rad), 0.0), end])
     return way
 
 
@@ -181,7 +187,7 @@ def unexplained(episode: Episode) -> Bools:
     """
     rollout, drive = episode.rollout, DrivenSteps.of(episode)
     free = drive.steps > rollout.now + round(1.0 / rollout.dt_s)
-    free &= ~_someone_ahead(rollout, drive)
+    free &= ~_someone_ahead(rollout, drive, ground_of(episode.case.road))
     free &= ~_ahead_on_road(episode, drive)
     free &= ~_own_stops(rollout)[drive.steps]
     if rollout.signals:
@@ -199,7 +205,7 @@ def _own_stops(rollout: Rollout) -> Bools:
     return there
 
 
-def _someone_ahead(rollout: Rollout, drive: DrivenSteps) -> Bools:
+def _someone_ahead(rollout: Rollout, drive: DrivenSteps, ground: Ground) -> Bools:
     tracks, found = rollout.tracks, np.zeros(len(drive.steps), bool)
     for row in range(tracks.agents):
         if row == drive.row:
@@ -218,7 +224,12 @@ def _someone_ahead(rollout: Rollout, drive: DrivenSteps) -> Bools:
         seen_m = _NEAR_M + drive.speed_mps**2 / (2 * _GENTLE_MPS2)
         near = tracks.valid[row, drive.steps] & (np.hypot(*offset.T) < seen_m)
         reach = (drive.size_m[0] + tracks.size_m[row, 0]) / 2
-        found |= near & (ahead > -reach) & ~passes & ~leaves
+        near &= (ahead > -reach) & ~passes & ~leaves
+        if ground.has_levels:
+            ends = tracks.position_m[row, drive.steps]
+            reached = ground.arrived(drive.position_m, drive.z_m, ends)
+            near &= ~clear(reached, tracks.z_m[row, drive.steps])
+        found |= near
     return found
 
 

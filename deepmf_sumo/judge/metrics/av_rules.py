@@ -28,6 +28,7 @@ from deepmf_sumo.judge.metrics.conflict import (
 )
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import on_level
 from deepmf_sumo.scene.geometry.lane_map import MARGIN_M
 from deepmf_sumo.scene.geometry.road import lanes_for_cars
 from deepmf_sumo.scene.geometry.slow import WAITING_MPS, WALKING_MPS
@@ -193,13 +194,14 @@ def av_crossing_taken(episode: Episode) -> float:
     light and went straight on: the crossing is red then.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
-    crossings = [shapely.Polygon(one.points_m) for one in road.polygons
+    crossings = [(shapely.Polygon(one.points_m), float(one.z_m.mean())) for one in road.polygons
                  if one.kind == "crosswalk" and len(one.points_m) > 2]  # fmt: skip
     if not crossings:
         raise NotMeasurable("the map has no pedestrian crossings")
     on_foot = np.flatnonzero(np.array(episode.rollout.tracks.kinds) == "pedestrian").tolist()
-    for area in crossings if on_foot else ():
+    for area, z_m in crossings if on_foot else ():
         inside = np.asarray(shapely.contains_xy(area, *drive.front_m.T))
+        inside &= on_level(road, drive.z_m, z_m)
         for at in np.flatnonzero(inside & ~np.concatenate([inside[:1], inside[:-1]])).tolist():
             fast = drive.speed_mps[at] > WALKING_MPS and not _light_let_it_go(episode, drive, at)
             if fast and any(_has_to_wait_for(episode, drive, at, row, area) for row in on_foot):
@@ -216,6 +218,8 @@ def _has_to_wait_for(
     if not tracks.valid[row, since].all():
         return False
     if not np.all(shapely.contains_xy(area, *tracks.position_m[row, since].T)):
+        return False
+    if not on_level(episode.case.road, tracks.z_m[row, step], drive.z_m[at]):
         return False
     left_m = frames.to_local(
         tracks.position_m[row, step], drive.position_m[at], float(drive.heading_rad[at])
@@ -315,21 +319,22 @@ def av_off_lane(episode: Episode) -> float:
     outside = np.array([bool(one) and not road.lanes[one or ""].interpolating for one in names])
     aside = frames.unit(drive.heading_rad + np.pi / 2) * drive.size_m[1] / 2
     sides = np.concatenate([drive.position_m + aside, drive.position_m - aside])
-    beyond = _beyond_m(road, sides)
+    beyond = _beyond_m(road, sides, np.tile(drive.z_m, 2))
     known = np.isfinite(beyond) & np.tile(outside, 2)
     if not known.any():
         raise NotMeasurable("the AV drove on no lane that is known")
     return float(beyond[known].max())
 
 
-def _beyond_m(road: RoadMap, points_m: Floats) -> Floats:
-    """(N) how far points lie beside the nearest lane for cars; inf where there is none."""
+def _beyond_m(road: RoadMap, points_m: Floats, z_m: Floats) -> Floats:
+    """(N) how far points lie beside the nearest lane for cars of their level; inf without one."""
     lanes = lanes_for_cars(road)
     feet = lanes.feet(points_m, 2 * lanes.widest_m)
     half = lanes.reach_m[lanes.lane[feet.segment]] - MARGIN_M
     away = np.maximum(np.hypot(*feet.away_m.T) - half, 0.0)
+    level = on_level(road, z_m[feet.point], lanes.heights_m(feet))
     found = np.full(len(points_m), np.inf)
-    np.minimum.at(found, feet.point, away)
+    np.minimum.at(found, feet.point[level], away[level])
     return found
 
 

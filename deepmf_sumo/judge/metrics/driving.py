@@ -16,6 +16,7 @@ from deepmf_sumo.scene import (
     SignalState,
 )
 from deepmf_sumo.scene.geometry import frames, polylines, road
+from deepmf_sumo.scene.geometry.ground import on_level
 from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import PEOPLE, RoadUser, road_user
@@ -168,12 +169,13 @@ def red_light(episode: Episode) -> float:
 
 
 class StopLine(NamedTuple):
-    """The stop line of a lane: (2) point on the lane, its direction, half the lane's width."""
+    """The stop line of a lane: (2) point on it, its direction, half its width, its height there."""
 
     lane_id: str
     point_m: Floats
     heading_rad: float
     half_m: float
+    z_m: float
 
 
 def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
@@ -207,7 +209,7 @@ def lights_passed(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) ->
         if np.hypot(*(lane.centre_m[0] - place_m)) > _JUNCTION_M:
             continue
         line = _stop_line(road, lane_id, lane.centre_m[0])
-        for step in np.flatnonzero(_crossing(rollout, row, line)).tolist():
+        for step in np.flatnonzero(_crossing(rollout, road, row, line)).tolist():
             number = step - 1 - rollout.now
             if number >= 0 and lane_id in rollout.signals[number]:
                 found.setdefault(step, set()).add(rollout.signals[number][lane_id])
@@ -272,19 +274,20 @@ def _crossed(rollout: Rollout, case: Case, row: int, steps: Bools) -> dict[int, 
     """Lanes whose stop lines an agent's front crosses, by step, in some steps (T)."""
     crossed: dict[int, list[str]] = {}
     for line in stop_lines(rollout, case):
-        for at in np.flatnonzero(_crossing(rollout, row, line) & steps):
+        for at in np.flatnonzero(_crossing(rollout, case.road, row, line) & steps):
             crossed.setdefault(int(at), []).append(line.lane_id)
     return crossed
 
 
 def _stop_line(road: RoadMap, lane_id: str, point: Floats) -> StopLine:
     lane = road.lanes[lane_id]
-    heading = float(polylines.project(lane.centre_m, point).heading_rad)
-    return StopLine(lane_id, point, heading, width_m(lane) / 2)
+    foot = polylines.project(lane.centre_m, point)
+    z_m = float(np.interp(foot.along_m, polylines.arc_lengths(lane.centre_m), lane.z_m))
+    return StopLine(lane_id, point, float(foot.heading_rad), width_m(lane) / 2, z_m)
 
 
-def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:
-    """(T) steps in which the middle of the front bumper crosses the line."""
+def _crossing(rollout: Rollout, road_map: RoadMap, row: int, line: StopLine) -> Bools:
+    """(T) steps in which the middle of the front bumper crosses the line, on its level."""
     tracks = rollout.tracks
     heading = tracks.heading_rad[row]
     front = tracks.position_m[row] + frames.unit(heading) * tracks.size_m[row, 0] / 2
@@ -292,5 +295,6 @@ def _crossing(rollout: Rollout, row: int, line: StopLine) -> Bools:
     over = (ahead[:-1] <= 0) & (ahead[1:] > 0) & (np.abs(left[1:]) <= line.half_m)
     along = np.cos(heading[1:] - line.heading_rad) > _SAME_WAY
     there = tracks.valid[row, :-1] & tracks.valid[row, 1:]
+    there &= on_level(road_map, tracks.z_m[row, 1:], line.z_m)
     crossing: Bools = np.concatenate([[False], over & along & there])
     return crossing

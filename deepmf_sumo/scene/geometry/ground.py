@@ -30,6 +30,16 @@ def clear(z_m: Floats, other_m: Floats) -> Bools:
     return np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
 
 
+def on_level(road: RoadMap, z_m: Floats | float, other_m: Floats | float) -> Bools:
+    """(...) whether two heights are of one level of a road; all are if it never passes over itself.
+
+    Heights of recordings may count from elsewhere than those of their maps: where there is one
+    level they are not compared.
+    """
+    level: Bools = ~clear(np.asarray(z_m, float), np.asarray(other_m, float))
+    return level | (not ground_of(road).has_levels)
+
+
 def on_nearest_level(group: Ints, heights_m: Floats, z_m: Floats) -> Bools:
     """(K) which heights of roads are of that level of their group which is nearest to a height.
 

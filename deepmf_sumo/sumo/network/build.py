@@ -199,7 +199,9 @@ def leaves_lanes(scene: Scene) -> bool:
     row = scene.tracks.row(scene.av_id)
     valid = scene.tracks.valid[row].copy()
     valid[: scene.now] = False
-    found = match(scene.road, scene.tracks.position_m[row], scene.tracks.heading_rad[row], valid)
+    tracks = scene.tracks
+    poses = tracks.position_m[row], tracks.heading_rad[row], valid
+    found = match(scene.road, *poses, tracks.z_m[row])
     off = found.distance_m[valid] > OFF_LANE_M
     runs = "".join("x" if far else " " for far in off).split()
     longest = max(map(len, runs), default=0)

@@ -491,6 +491,7 @@ def _parts(scene: Scene) -> Iterator[bytes]:
     yield repr(sorted(scene.signals.lane_ids)).encode()
     row = scene.tracks.row(scene.av_id)
     yield str(scene.now).encode()
-    for array in (scene.tracks.position_m, scene.tracks.heading_rad, scene.tracks.valid):
+    tracks = scene.tracks
+    for array in (tracks.position_m, tracks.z_m, tracks.heading_rad, tracks.valid):
         yield np.ascontiguousarray(array[row]).tobytes()
     yield np.ascontiguousarray(scene.tracks.velocity_mps[row]).tobytes()

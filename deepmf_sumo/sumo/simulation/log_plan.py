@@ -112,9 +112,8 @@ def _passed_lights(scene: Scene) -> dict[str, int]:
     tracks, row = scene.tracks, scene.tracks.row(scene.av_id)
     if not scene.signals.lane_ids:
         return {}
-    lanes = match(
-        scene.road, tracks.position_m[row], tracks.heading_rad[row], tracks.valid[row]
-    ).lane_ids
+    poses = tracks.position_m[row], tracks.heading_rad[row], tracks.valid[row]
+    lanes = match(scene.road, *poses, tracks.z_m[row]).lane_ids
     passed: dict[str, int] = {}
     for step, (before, lane) in enumerate(pairwise(lanes), start=1):
         if lane != before and lane in scene.signals.lane_ids and step > scene.now:

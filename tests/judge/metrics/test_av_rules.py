@@ -246,3 +246,58 @@ def test_a_repeated_command():
     assert value("av_frozen", poses(60, at_limit - 0.1)) == pytest.approx(0.9)
     steady = np.concatenate([12 - 0.2 * np.arange(20), np.full(60, 8.0)])
     assert value("av_frozen", poses(60, steady)) == 0.0
+
+
+def on_decks(name, av, av_z_m, road, others):
+    """The value where others are at height 0, and a light on the lower deck is red."""
+    case = dataclasses.replace(in_traffic(case_of()), road=road)
+    rollout = rollout_of({"av": av, "b": AWAY, **{one: path for one, (path, _) in others.items()}})
+    kinds = tuple(
+        "pedestrian" if one.startswith("walks") else "vehicle" for one in rollout.tracks.ids
+    )
+    z_m = np.zeros(rollout.tracks.z_m.shape)
+    z_m[rollout.tracks.row("av")] = av_z_m
+    for one, (_, height) in others.items():
+        z_m[rollout.tracks.row(one)] = height
+    tracks = dataclasses.replace(rollout.tracks, kinds=kinds, z_m=z_m)
+    signals = ({"over": RED},) * 80
+    rollout = dataclasses.replace(rollout, tracks=tracks, signals=signals)
+    found = plugins.load("metrics", name).measure(rollout, case)
+    return found.value, found.reason
+
+
+DECK = dataclasses.replace(lane("deck", [[-300, 0.4], [500, 0.4]]), z_m=np.full(2, 8.0))
+BOTH = dataclasses.replace(ROAD, lanes={**ROAD.lanes, "deck": DECK}, polygons=(crossing_at(12),))
+BELOW = {
+    "stands": (straight(60, 0, 0), 0.0),
+    "walks": (straight(12, -2.5 - 4.0 * 0.5, 0.5, heading=NORTH), 0.0),
+}
+DRIVES = {
+    "on": straight(-32.4, 0, 10),
+    "stops": braking(-60, 12, 2.0, 4.0),
+    "follows": straight(20, 0, 10),
+}
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("name", sorted(set(MONITORS) - {"av_progress"}))
+def test_what_is_on_another_level_changes_nothing(name, drive):
+    """On a deck above a junction whose light is red; and below a deck where others drive."""
+    av = DRIVES[drive]
+    alone = dataclasses.replace(BOTH, lanes={"deck": DECK})
+    above = on_decks(name, av, 8.0, BOTH, BELOW)
+    if above[1]:
+        assert on_decks(name, av, 8.0, alone, {})[1]
+    elif name in {"av_red_run", "av_late_at_signal", "av_signal_braking", "av_beyond_stop_line",
+                  "av_crossing_taken", "av_right_of_way_taken"}:  # fmt: skip
+        assert above[0] == 0.0
+    else:
+        assert above[0] == pytest.approx(on_decks(name, av, 8.0, alone, {})[0])
+    flat = dataclasses.replace(ROAD, polygons=BOTH.polygons)
+    over = {"over": (straight(60, 0, 0), 8.0), "walks over": (BELOW["walks"][0], 8.0)}
+    assert on_decks(name, av, 0.0, BOTH, over) == on_decks(name, av, 0.0, flat, {})
+
+
+def test_without_heights_the_light_and_the_crossing_below_would_count():
+    assert on_decks("av_red_run", DRIVES["on"], 0.0, BOTH, BELOW)[0] == 1.0
+    assert on_decks("av_crossing_taken", DRIVES["on"], 0.0, BOTH, BELOW)[0] == 1.0
