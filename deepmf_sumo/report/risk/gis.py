@@ -30,9 +30,6 @@ FORMS: Final[tuple[Form, ...]] = get_args(Form)
 PLACES, ATTACKS = "places", "attacks"
 GEOPACKAGE: Final = "risk.gpkg"
 FILES: Final = {f"{PLACES}.geojson", f"{ATTACKS}.geojson", GEOPACKAGE}
-_NONE: Final = "!"
-_OF_SUMO: Final = {"-", ".", "..", "..."}
-"""Projections that SUMO computes itself, or chooses while it reads."""
 _DIGITS: Final = 8
 """Of degrees: about a millimetre."""
 Layers = Mapping[str, "Layer"]
@@ -55,7 +52,7 @@ class Layer:
 def check(networks: Sequence[Network], forms: Sequence[Form]) -> None:
     """Raise UsageError where a network cannot be written in one of the forms."""
     for network in networks:
-        known = network.places.net.location.projection not in {_NONE, *_OF_SUMO}
+        known = network.places.net.location.geographic
         if "geojson" in forms and not known:
             raise UsageError(
                 f"geojson: the network {network.name} has the projection"
@@ -174,7 +171,7 @@ def _geojson(name: str, layer: Layer, placed: Placed) -> bytes:
 
 
 def _gpkg(network: Network, layers: Layers) -> bytes:
-    known = network.places.net.location.projection not in {_NONE, *_OF_SUMO}
+    known = network.places.net.location.geographic
     placed: Placed = _projected(network) if known else lambda points: points
     reference = geopackage.UNDEFINED
     if known:

@@ -19,7 +19,7 @@ from deepmf_sumo.results.risk.attacks import Attacked, Network
 from deepmf_sumo.results.risk.driving import MANOEUVRE_OF, MANOEUVRES, NEAR_M, merging
 from deepmf_sumo.results.risk.elements import KMH, Element, Site
 from deepmf_sumo.results.risk.passing import hours
-from deepmf_sumo.results.risk.places import Kind, Places
+from deepmf_sumo.results.risk.places import SITES, Kind, Places
 from deepmf_sumo.results.risk.table import happened, rate
 from deepmf_sumo.results.statistics import Interval
 
@@ -121,7 +121,7 @@ class _Entry(NamedTuple):
 
 
 def coverage(network: Network) -> list[EvidenceCell]:
-    """All cells of the four tables; then all movements and edges that vehicles may use."""
+    """All cells of the four tables; then all movements and edges of road vehicles."""
     groups: dict[Subject, list[Attacked]] = defaultdict(list)
     for one in network.attacks:
         for key in _of(one):
@@ -206,11 +206,9 @@ def _meanings() -> dict[str, str]:
 
 
 def _places(places: Places) -> Iterator[_Entry]:
-    for name in places.movements:
-        yield _place("movement", name, places)
-    for edge in places.net.edges.values():
-        if not edge.function:
-            yield _place("edge", edge.id, places)
+    for kind in SITES:
+        for name in places.driven[kind]:
+            yield _place(kind, name, places)
 
 
 def _place(kind: Kind, name: str, places: Places) -> _Entry:

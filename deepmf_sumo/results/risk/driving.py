@@ -174,7 +174,8 @@ def _at_limit(speed_mps: Floats, spots: Sequence[Spot], places: Places) -> bool:
 def merging(places: Places) -> frozenset[str]:
     """Movements onto an edge that another one leads to from a direction within 45 degrees."""
     by_target: dict[str, set[str]] = {}
-    for one in places.movements.values():
+    movements = [places.movements[name] for name in places.driven["movement"]]
+    for one in movements:
         by_target.setdefault(one.target, set()).add(one.origin)
     heading = {
         origin: places.heading_rad(origin)
@@ -184,7 +185,7 @@ def merging(places: Places) -> frozenset[str]:
     }
     return frozenset(
         one.id
-        for one in places.movements.values()
+        for one in movements
         if any(
             abs(float(frames.difference(heading[one.origin], heading[other]))) < _JOINS_RAD
             for other in by_target[one.target] - {one.origin}

@@ -13,7 +13,7 @@ import shapely
 
 from deepmf_sumo.results.risk.places import Kind, Places, Spot
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.sumo.network.sumo_net import NetEdge
+from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetLane
 
 KMH: Final = 3.6
 BETWEEN: Final = "between junctions"
@@ -81,14 +81,12 @@ def everywhere(places: Places) -> dict[Element, frozenset[Site]]:
     """Where the network has each element: movements, and edges that vehicles may use."""
     found: dict[Element, set[Site]] = defaultdict(set)
     crossed = _with_crossings(places)
-    for one in places.movements.values():
+    for one in (places.movements[name] for name in places.driven["movement"]):
         site: Site = "movement", one.id
         found[Element("junction", junction(places, one.junction))].add(site)
         if one.junction in crossed:
             found[Element("people", CROSSINGS)].add(site)
-    for edge in places.net.edges.values():
-        if edge.function or not _lanes(edge):
-            continue
+    for edge in (places.net.edges[name] for name in places.driven["edge"]):
         site = "edge", edge.id
         found[Element("junction", BETWEEN)].add(site)
         for element in (*_of_edge(edge), *(Element("bend", bend) for bend in _bends(edge))):
@@ -115,7 +113,7 @@ def junction(places: Places, name: str) -> str:
 @lru_cache(maxsize=8)
 def over_junctions(places: Places) -> frozenset[str]:
     """Movements over a junction: without joints of two roads, where vehicles do not turn."""
-    movements = places.movements.values()
+    movements = (places.movements[name] for name in places.driven["movement"])
     return frozenset(one.id for one in movements if junction(places, one.junction) != BETWEEN)
 
 
@@ -123,10 +121,9 @@ def over_junctions(places: Places) -> frozenset[str]:
 def _arms(places: Places) -> dict[str, set[str]]:
     """The other ends of the roads at each junction."""
     found: dict[str, set[str]] = defaultdict(set)
-    for edge in places.net.edges.values():
-        if not edge.function and _lanes(edge):
-            found[edge.start].add(edge.end)
-            found[edge.end].add(edge.start)
+    for edge in (places.net.edges[name] for name in places.driven["edge"]):
+        found[edge.start].add(edge.end)
+        found[edge.end].add(edge.start)
     return found
 
 
@@ -137,15 +134,16 @@ def _with_crossings(places: Places) -> frozenset[str]:
     return frozenset(edge.id[1:].rpartition("_")[0] for edge in edges)
 
 
-def _lanes(edge: NetEdge) -> int:
-    """That cars may use."""
-    return sum(lane.allows("passenger") for lane in edge.lanes)
+def _lanes(edge: NetEdge) -> list[NetLane]:
+    """That cars may use; without any those of other road vehicles."""
+    lanes = [lane for lane in edge.lanes if lane.road] or list(edge.lanes)
+    return [lane for lane in lanes if lane.allows("passenger")] or lanes
 
 
 def _of_edge(edge: NetEdge) -> Iterator[Element]:
-    lanes = _lanes(edge) or len(edge.lanes)
-    yield Element("lanes in the AV's direction", _LANES[min(lanes, len(_LANES)) - 1])
-    limit_kmh = max(lane.speed_mps for lane in edge.lanes) * KMH
+    lanes = _lanes(edge)
+    yield Element("lanes in the AV's direction", _LANES[min(len(lanes), len(_LANES)) - 1])
+    limit_kmh = max(lane.speed_mps for lane in lanes) * KMH
     fits = (name for most, name in _LIMITS_KMH.items() if limit_kmh <= most + 0.5)
     yield Element("speed limit", next(fits, _FAST))
 

@@ -54,6 +54,7 @@ class Movement:
         rule: of right of way, or what the light shows: ``permissive`` is a green that has to
             give way. Several where its lanes differ.
         lanes: inside the junction, in driving order for each lane of the origin.
+        driven: whether road vehicles may drive it: bicycles, trams and people are none.
     """
 
     id: str
@@ -63,6 +64,7 @@ class Movement:
     turn: str
     rule: str
     lanes: tuple[str, ...]
+    driven: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,16 +224,23 @@ class Places:
         place = spot.of(kind)
         return kind, place, self.title(kind, place)
 
-    def count(self, kind: Kind) -> int:
-        """How many places of a kind there are for vehicles."""
-        if kind == "movement":
-            return len(self.movements)
-        if kind == "junction":
-            return len({one.junction for one in self.movements.values()})
+    @cached_property
+    def driven(self) -> dict[Kind, tuple[str, ...]]:
+        """Ids of the places of each kind that road vehicles may use, in the network's order."""
+        movements = [one for one in self.movements.values() if one.driven]
         normal = [edge for edge in self.net.edges.values() if not edge.function]
-        if kind == "edge":
-            return len(normal)
-        return sum(len(edge.lanes) for edge in normal) + len(self._of_inner_lane)
+        lanes = [lane for edge in normal for lane in edge.lanes if lane.road]
+        inner = [name for one in movements for name in one.lanes if self.lanes[name].road]
+        return {
+            "movement": tuple(one.id for one in movements),
+            "edge": tuple(dict.fromkeys(lane.edge for lane in lanes)),
+            "junction": tuple(dict.fromkeys(one.junction for one in movements)),
+            "lane": (*(lane.id for lane in lanes), *dict.fromkeys(inner)),
+        }
+
+    def count(self, kind: Kind) -> int:
+        """How many places of a kind there are for road vehicles."""
+        return len(self.driven[kind])
 
     def _wind(self, edge: str, *, ahead: bool = True) -> str:
         """On which side of the junction an edge lies: behind it, or before it if not ``ahead``."""
@@ -258,6 +267,7 @@ def read(net_file: Path) -> Places:
     net = read_once(net_file)
     inner = {link.origin: link for link in net.links if link.origin.startswith(":")}
     greens, rings = _lights_and_rings(net_file)
+    roads = {lane.id for edge in net.edges.values() for lane in edge.lanes if lane.road}
     by_edges: dict[tuple[str, str], list[NetLink]] = defaultdict(list)
     for link in net.links:
         ends = link.origin.rpartition("_")[0], link.target.rpartition("_")[0]
@@ -282,6 +292,7 @@ def read(net_file: Path) -> Places:
             turn=TURNS.get(links[0].direction, ""),
             rule=" / ".join(dict.fromkeys(filter(None, (_rule(one, greens) for one in links)))),
             lanes=tuple(lane for link in links for lane in _chain(link, inner)),
+            driven=any(one.origin in roads and one.target in roads for one in links),
         )
     return Places(net=net, movements=movements, rings=rings)
 

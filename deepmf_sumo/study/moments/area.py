@@ -77,7 +77,7 @@ def area_of(asked: Moments, net_file: Path, named: Callable[[str], str]) -> Atta
     polygon, geographic = None, False
     if asked.polygon is not None:
         polygon, geographic = read_polygon(asked.polygon, named("polygon"))
-        if geographic and net.location.projection in {"!", "-"}:
+        if geographic and not net.location.geographic:
             raise UsageError(
                 f"{named('polygon')} {asked.polygon}: it has longitudes and latitudes, and"
                 f" {net_file.name} has no projection; give polygons of SUMO (<poly>) in metres."

@@ -178,6 +178,11 @@ class NetLocation:
     offset_m: tuple[float, float] = (0.0, 0.0)
     projection: str = "!"
 
+    @property
+    def geographic(self) -> bool:
+        """Whether PROJ places it on earth: not with what SUMO computes itself, or chooses."""
+        return self.projection not in {"!", "-", ".", "..", "..."}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetFile:

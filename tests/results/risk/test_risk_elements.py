@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sumo
 import sumolib
+from sumolib.net.lane import SUMO_VEHICLE_CLASSES
 
 from deepmf_sumo.results.risk import driving, elements
 from deepmf_sumo.results.risk import places as places_module
@@ -140,3 +142,47 @@ def test_the_elements_of_a_place():
         Element(LIMIT, "30 to 50 km/h"), Element("bend", "straight"),
     }  # fmt: skip
     assert elements.at(places, Spot(), there) == frozenset()
+
+
+GAMES = Path(sumo.SUMO_HOME) / "tools" / "game"
+ELSEWHERE = (
+    "pedestrian", "wheelchair", "bicycle", "scooter", "tram", "rail", "rail_urban",
+    "rail_electric", "rail_fast", "subway", "cable_car", "ship", "container", "aircraft", "drone",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["DRT/osm", "bs3d/bs", "rail/net", "racing/spreewaldring"],
+)
+def test_places_of_vehicles_are_none_of_paths_and_tracks(file):
+    """As sumolib reads the permissions: with a class that is on no rails, on foot or on a bicycle.
+
+    Networks that come with SUMO: footpaths, cycle paths and tracks among streets, tracks alone,
+    and a racing circuit of one class.
+    """
+    file = GAMES / f"{file}.net.xml"
+    net = sumolib.net.readNet(str(file))
+    old = {"public_transport", "transport", "lightrail", "cityrail", "rail_slow"}
+    away = {*ELSEWHERE, *old} | {one for one in SUMO_VEHICLE_CLASSES if one.startswith("public_")}
+
+    def road(lane):
+        return bool(set(lane.getPermissions()) - away)
+
+    edges = [one.getID() for one in net.getEdges() if any(map(road, one.getLanes()))]
+    links = {
+        (edge.getID(), other.getID())
+        for edge in net.getEdges()
+        for other, ways in edge.getOutgoing().items()
+        if any(road(way.getFromLane()) and road(way.getToLane()) for way in ways)
+    }
+    lanes = sum(road(lane) for edge in net.getEdges() for lane in edge.getLanes())
+    places = places_module.read(file)
+    assert set(places.driven["edge"]) == set(edges)
+    moved = [places.movements[name] for name in places.driven["movement"]]
+    assert {(one.origin, one.target) for one in moved} == links
+    assert sum(not one.startswith(":") for one in places.driven["lane"]) == lanes
+    assert places.count("movement") == len(links)
+    assert bool(edges) == (file.parent.name != "rail")
+    if file.parent.name == "DRT":
+        assert len(edges) < len(net.getEdges())
