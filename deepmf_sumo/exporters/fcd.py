@@ -23,7 +23,7 @@ from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 from deepmf_sumo.scene.rollout import Role
 from deepmf_sumo.sumo.network import mapping
-from deepmf_sumo.sumo.network.sumo_net import read_once
+from deepmf_sumo.sumo.network.sumo_net import RAIL_VEHICLES, read_once
 
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
@@ -38,7 +38,6 @@ _SHAPES: Final[dict[RoadUserClass, str]] = {
     "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
     "pedestrian": "pedestrian", "other": "passenger",
 }  # fmt: skip
-_RAIL: Final = ("tram", "rail_urban", "rail", "rail_electric", "rail_fast")
 _SEEN_M = 50.0
 """Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
@@ -99,7 +98,7 @@ def _same(file: Path, other: Path) -> None:
 def _rails(net: Path) -> list[Floats]:
     """(P, 2) each: centre lines of the lanes of trams and trains."""
     lanes = (lane for edge in read_once(net).edges.values() for lane in edge.lanes)
-    return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, _RAIL))]
+    return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, RAIL_VEHICLES))]
 
 
 def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:

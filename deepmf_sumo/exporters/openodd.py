@@ -23,6 +23,7 @@ from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.scene import Bools, Floats, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import frames, road
+from deepmf_sumo.scene.geometry.ground import off_level
 from deepmf_sumo.scene.geometry.road import Covering
 
 FILE: Final = "openodd/"
@@ -84,7 +85,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
 
 
 class _Step(NamedTuple):
-    """A step of an attack; ``row`` is the AV's, ``there`` (A) who is there besides."""
+    """A step of an attack; ``row`` is the AV's, ``there`` (A) who else is there, on its level."""
 
     rollout: Rollout
     road: RoadMap
@@ -127,7 +128,9 @@ def _steps(rollout: Rollout, on: RoadMap) -> Iterator[_Step]:
     others = np.arange(tracks.agents) != row
     for step in range(rollout.now, tracks.steps):
         if tracks.valid[row, step]:
-            yield _Step(rollout, on, row, step, tracks.valid[:, step] & others)
+            here_m, z_m = tracks.position_m[:, step], tracks.z_m[:, step]
+            off = off_level(on, here_m[row], float(z_m[row]), here_m, z_m)
+            yield _Step(rollout, on, row, step, tracks.valid[:, step] & others & ~off)
 
 
 def _speed_kph(at: _Step) -> float:

@@ -198,7 +198,7 @@ def _driven(found: RecordedTracks, spots: Spots, first: int, last: int) -> Drive
         return NOTHING
     steps = len(there) if there.all() else int(there.argmin())  # it may leave the simulation
     where = [spots.at(step) for step in range(first, first + steps)]
-    return driven(found.tracks, row, where, first, DT_S, spots.places)
+    return driven(found.tracks, row, where, first, DT_S, spots.places, spots.road)
 
 
 def _first_hit(result: Result) -> int | None:

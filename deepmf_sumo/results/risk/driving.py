@@ -11,8 +11,9 @@ import numpy as np
 from deepmf_sumo.results.risk import elements
 from deepmf_sumo.results.risk.elements import Element
 from deepmf_sumo.results.risk.places import Places, Spot
-from deepmf_sumo.scene import Floats, Tracks
+from deepmf_sumo.scene import Floats, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of, off_level
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 Manoeuvre = Literal[
@@ -73,7 +74,13 @@ NOTHING: Final = DrivenUnderAttack()
 
 
 def driven(
-    tracks: Tracks, av: int, spots: Sequence[Spot], first: int, dt_s: float, places: Places
+    tracks: Tracks,
+    av: int,
+    spots: Sequence[Spot],
+    first: int,
+    dt_s: float,
+    places: Places,
+    road: RoadMap,
 ) -> DrivenUnderAttack:
     """What the AV, a row of the tracks, did from the step ``first`` on.
 
@@ -84,17 +91,18 @@ def driven(
         first: the step at which the attack began.
         dt_s: of a step.
         places: of the network.
+        road: its map, for the levels of roads.
     """
     span = slice(first, first + len(spots))
     found = {*_over(spots, places), *_along(spots, places), *_speeds(tracks.speed_mps[av, span])}
-    if _follows(tracks, av, span) * dt_s >= _FOLLOWS_S - 1e-9:
+    if _follows(tracks, av, span, ground_of(road)) * dt_s >= _FOLLOWS_S - 1e-9:
         found.add("follows")
     movements = [places.movements[name] for name in _movements(spots, places)]
     return DrivenUnderAttack(
         manoeuvres=frozenset(found),
         elements=frozenset(_elements(tracks.position_m[av, span], spots, places)),
         rules=frozenset(rule for one in movements for rule in one.rule.split(" / ") if rule),
-        near=_near(tracks, av, first),
+        near=_near(tracks, av, first, road),
         at_limit=_at_limit(tracks.speed_mps[av, span], spots, places),
     )
 
@@ -139,7 +147,7 @@ def _speeds(speed_mps: Floats) -> Iterator[Manoeuvre]:
         yield "starts"
 
 
-def _follows(tracks: Tracks, av: int, span: slice) -> int:
+def _follows(tracks: Tracks, av: int, span: slice, ground: Ground) -> int:
     """In how many steps another vehicle drives or stands ahead in the AV's path."""
     position_m, heading = tracks.position_m[:, span], tracks.heading_rad[:, span]
     away = position_m - position_m[av]
@@ -154,12 +162,18 @@ def _follows(tracks: Tracks, av: int, span: slice) -> int:
     leads = (gap_m >= 0) & beside & alike & near
     leads &= tracks.valid[:, span] & tracks.valid[av, span]
     leads[av] = False
+    if ground.has_levels:
+        row, at = np.nonzero(leads)
+        z_m = tracks.z_m[:, span]
+        reached = ground.arrived(position_m[av, at], z_m[av, at], position_m[row, at])
+        leads[row, at] = ~clear(reached, z_m[row, at])
     return int(leads.any(axis=0).sum())
 
 
-def _near(tracks: Tracks, av: int, step: int) -> int:
-    away_m = np.hypot(*(tracks.position_m[:, step] - tracks.position_m[av, step]).T)
-    there = tracks.valid[:, step] & (away_m <= NEAR_M)
+def _near(tracks: Tracks, av: int, step: int, road: RoadMap) -> int:
+    here_m, z_m = tracks.position_m[:, step], tracks.z_m[:, step]
+    there = tracks.valid[:, step] & (np.hypot(*(here_m - here_m[av]).T) <= NEAR_M)
+    there &= ~off_level(road, here_m[av], float(z_m[av]), here_m, z_m)
     there[av] = False
     return int(there.sum())
 

@@ -1,5 +1,6 @@
 """Where an AV was and what it did while it was attacked."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ from deepmf_sumo.results.risk import driving
 from deepmf_sumo.results.risk import places as places_module
 from deepmf_sumo.results.risk.elements import BETWEEN, Element
 from deepmf_sumo.results.risk.places import Spot
+from deepmf_sumo.scene import Lane, RoadMap
 
 from tests.support.rollout_doubles import rollout_of
 
 FOUR_WAY = Path(__file__).resolve().parents[3] / "sumo_nets" / "four_way" / "four_way.net.xml"
 STEPS = 51
+FLAT = RoadMap(lanes={})
 IN_0, IN_1 = (Spot(lane=f"w_in_{number}", edge="w_in") for number in (0, 1))
 
 
@@ -31,10 +34,13 @@ def path(speeds_mps, x=0.0, y=0.0, heading=0.0):
     return np.column_stack([along, np.full(STEPS, y), np.full(STEPS, heading)])
 
 
-def done(places, av, spots=None, began=0, **others):
+def done(places, av, spots=None, began=0, road=FLAT, z_m=(), **others):
     tracks = rollout_of({"av": av, "b": path(0.0, 900.0), **others}).tracks
+    if z_m:
+        heights = np.repeat(np.array(z_m)[:, None], tracks.steps, axis=1)
+        tracks = replace(tracks, z_m=heights)
     spots = spots or [IN_0] * STEPS
-    return driving.driven(tracks, 0, spots[began:], began, 0.1, places)
+    return driving.driven(tracks, 0, spots[began:], began, 0.1, places, road)
 
 
 RAMP = np.r_[np.zeros(11), np.linspace(0, 10, STEPS - 11)]
@@ -131,3 +137,15 @@ def test_traffic_is_counted_around_the_av_at_the_start(places):
 def test_nine_tenths_of_the_limit(places, share, at_limit):
     limit = places.lanes["w_in_0"].speed_mps
     assert done(places, path(share * limit)).at_limit == at_limit
+
+
+@pytest.mark.parametrize(("z_m", "counts"), [(0.0, True), (8.0, False)])
+def test_traffic_on_a_bridge_above_is_not_around_the_av(places, z_m, counts):
+    def lane(name, height):
+        line = np.array([[-300.0, 0.0], [300.0, 0.0]])
+        return Lane(id=name, kind="street", centre_m=line, z_m=np.full(2, height))
+
+    road = RoadMap(lanes={"below": lane("below", 0.0), "above": lane("above", 8.0)})
+    found = done(places, path(10.0), road=road, z_m=(0.0, 0.0, z_m), ahead=path(10.0, 15.0))
+    assert ("follows" in found.manoeuvres) == counts
+    assert found.near == int(counts)
