@@ -24,13 +24,14 @@ from deepmf_sumo.scene import (
     View,
 )
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.scene.plan import TurnEnd
 from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.scene.rollout import decisive
 from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
-from deepmf_sumo.sumo.simulation.frame import Frame, Pose
+from deepmf_sumo.sumo.simulation.frame import Frame, Pose, raised
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
@@ -120,6 +121,7 @@ class Engagement:
         self._scenery = scenery
         observer, av = scenery.observer, scenery.av_id
         self._events: list[Event] = []
+        self._ground = ground_of(scenery.surroundings.road)
         footways = functools.partial(footways_of, scenery.surroundings.net)
         self._takeover = Takeover(scenery.api, self._events, footways=footways)
         owner = SumoOwner(self._takeover, self._around)
@@ -227,7 +229,7 @@ class Engagement:
             known[av] = (self._av_pose, Driver.PLANNER)
         at = observer.position(agent)
         around = Sighting({}, {}) if at is None else observer.around(at, _AROUND_M)
-        frame = observer.frame(around, known)
+        frame = self._on_their_levels(observer.frame(around, known))
         return Occupancy(frame=frame, size_m=observer.bodies.sizes_m(frame.ids), av_id=av)
 
     def _signals(self) -> dict[str, SignalState]:
@@ -240,7 +242,22 @@ class Engagement:
         for agent, pose in self._takeover.placed().items():
             if self._there(agent, sighting):
                 known[agent] = (pose, Driver.POLICY)
-        return scenery.observer.frame(sighting, known)
+        return self._on_their_levels(scenery.observer.frame(sighting, known))
+
+    def _on_their_levels(self, frame: Frame) -> Frame:
+        """The frame with the heights of those that are placed, see `raised`."""
+        placed = {
+            agent: pose for agent, pose in self._takeover.placed().items() if agent in frame.ids
+        }
+        if not (placed and self._ground.has_levels):
+            return frame
+        z_m, before = dict(zip(frame.ids, frame.z_m.tolist(), strict=True)), self._record.frame
+        return frame.with_poses(
+            {
+                agent: (raised(agent, pose, z_m[agent], before, self._ground), Driver.POLICY)
+                for agent, pose in placed.items()
+            }
+        )
 
     def _there(self, agent: AgentId, sighting: Sighting) -> bool:
         """Whether SUMO has the agent; its search does not find vehicles off every lane."""

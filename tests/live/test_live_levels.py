@@ -4,8 +4,10 @@ import libsumo
 import numpy as np
 import pytest
 
+from deepmf_sumo.planners import sumo as plain
 from deepmf_sumo.scene import Plan, TurnRules
 from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.sumo.simulation import network_case, simulate
 
 from tests.support import two_levels
 from tests.support.live_doubles import OPTIONS, session_on, step
@@ -62,3 +64,39 @@ def test_who_drives_over_the_av_on_a_bridge_does_not_meet_it(sumo, tmp_path):
     assert not attack.contacts
     assert attack.turns[0].ended != "contact"
     assert attack.turns[0].gap_m > 5.0
+
+
+class OverTheSide(North):
+    """Drives to the north over the bridge, and on it to the east over its side."""
+
+    def plan(self, view):
+        here = view.history.position_m[view.history.row("over"), -1]
+        heading = np.interp(np.arange(80), [29, 49], [np.pi / 2, 0.2])
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        return {
+            "over": Plan(
+                agent_id="over",
+                first_step=view.step + 1,
+                position_m=here + np.cumsum(ahead, axis=0),
+                heading_rad=heading,
+                speed_mps=np.full(80, 10.0),
+            )
+        }
+
+
+def test_an_opponent_does_not_fall_onto_the_road_below(sumo, tmp_path):
+    """SUMO takes it for the lane below, by x and y; the world of `attack` is the twin."""
+    sumo.simulationStep(5.0)
+    rules = TurnRules(longest_s=7.0)
+    session, fought = session_on(sumo, tmp_path, OverTheSide(), rules=rules, net="levels.net.xml")
+    step(sumo, session, 100)
+    case = network_case(tmp_path / "levels.sumocfg", 6.0, "av", 70, seed=0)
+    planner = plain.build(plain.Settings())
+    twin = simulate(case, planner, OverTheSide(), rng=np.random.default_rng(0))
+    for rollout in (fought[0].rollout, twin):
+        tracks = rollout.tracks
+        row = tracks.row("over")
+        there = tracks.valid[row] & (tracks.position_m[row, :, 1] > -39.0)
+        assert there.sum() > 60
+        assert tracks.z_m[row, there].min() > 7.5
+        assert not rollout.contacts

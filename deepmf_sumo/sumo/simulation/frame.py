@@ -1,7 +1,7 @@
 """Poses and frames: the state of all agents after a step, as read from the simulation."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Final
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from deepmf_sumo.scene import AgentId, AgentKind, Bytes, Driver, Floats
 from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry.ground import Ground
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +44,19 @@ def states(poses: Sequence[Pose]) -> Floats:
     course = [one.heading_rad if one.course_rad is None else one.course_rad for one in poses]
     velocity = table[:, 4:] * frames.unit(np.array(course).reshape(-1))
     return np.concatenate([table[:, :4], velocity], axis=1)
+
+
+def raised(agent: AgentId, pose: Pose, sumo_z_m: float, before: "Frame", ground: Ground) -> Pose:
+    """The pose of a vehicle that is put there, with its height: SUMO's, except where roads cross.
+
+    There SUMO takes the nearest lane by x and y alone; the vehicle follows the road from where it
+    was in the frame before.
+    """
+    if not (ground.has_levels and agent in before.ids):
+        return replace(pose, z_m=sumo_z_m)
+    row = before.ids.index(agent)
+    moved = np.array([[before.position_m[row], (pose.x_m, pose.y_m)]])
+    return replace(pose, z_m=float(ground.follow(moved, before.z_m[row : row + 1])[0, 1]))
 
 
 _ARRAYS: Final = ("position_m", "z_m", "heading_rad", "velocity_mps", "driver")

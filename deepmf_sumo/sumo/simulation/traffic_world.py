@@ -29,7 +29,7 @@ from deepmf_sumo.sumo.network.carriageway import carriageway_of
 from deepmf_sumo.sumo.network.footways import footways_of
 from deepmf_sumo.sumo.network.sumo_road import signal_links
 from deepmf_sumo.sumo.simulation.av import LANE_LOST, SumoAv, WayBack
-from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose
+from deepmf_sumo.sumo.simulation.frame import Body, Frame, Pose, raised
 from deepmf_sumo.sumo.simulation.made_people import MadePeople
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
@@ -244,16 +244,11 @@ class TrafficWorld:
         return frame.with_poses(shown)
 
     def _raised(self, agent: AgentId, pose: Pose, frame: Frame, *, put: bool) -> Pose:
-        """A pose with its height: SUMO's, except for a vehicle that is put where roads cross.
-
-        There SUMO takes the nearest lane by x and y alone.
-        """
-        if not (put and self._ground.has_levels and agent in self._frame.ids):
-            return replace(pose, z_m=float(frame.z_m[frame.ids.index(agent)]))
-        row = self._frame.ids.index(agent)
-        moved = np.array([[self._frame.position_m[row], (pose.x_m, pose.y_m)]])
-        z_m = self._ground.follow(moved, self._frame.z_m[row : row + 1])
-        return replace(pose, z_m=float(z_m[0, 1]))
+        """A pose with its height."""
+        z_m = float(frame.z_m[frame.ids.index(agent)])
+        if not put:
+            return replace(pose, z_m=z_m)
+        return raised(agent, pose, z_m, self._frame, self._ground)
 
     def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
         """All agents at the end of the last step."""
