@@ -36,7 +36,8 @@ from deepmf_sumo.sumo.simulation.observation import LiveSignals
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.recorder import EpisodeRecord, Recorder
 from deepmf_sumo.sumo.simulation.shown_motion import ShownMotion
-from deepmf_sumo.sumo.simulation.vehicle_control import SumoOwner, Takeover
+from deepmf_sumo.sumo.simulation.sumo_jumps import SumoJumps
+from deepmf_sumo.sumo.simulation.vehicle_control import OwnStop, SumoOwner, Takeover
 
 _NEAR_M: Final = 150.0
 """Lights farther from the AV are not read: each costs a message."""
@@ -125,12 +126,15 @@ class Engagement:
         footways = functools.partial(footways_of, scenery.surroundings.net)
         self._takeover = Takeover(scenery.api, self._events, footways=footways)
         owner = SumoOwner(self._takeover, self._around)
+        self._jumps = SumoJumps(scenery.api, av, self._events)
+        self._own_stop = OwnStop(scenery.api, av, self._events)
         self._motion = ShownMotion(scenery.api, av, observer.bodies.ask(av).size_m[0])
         if detail := observer.bodies.stiffened():
             now = len(history) - 1
             self._events.append(Event(step=now, agent_id=av, kind="av_is_stiff", detail=detail))
         longest = round(scenery.rules.longest_s / DT_S) + _LAST_STEPS
         recorder = Recorder(len(history) + longest, observer.bodies.ask)
+        self._own_stop.note(len(history) - 1)
         for sighting in history:
             self._av_pose = observer.pose(sighting, av)
             frame = self._shown(sighting)
@@ -194,7 +198,10 @@ class Engagement:
         """Record and judge 0.1 s."""
         scenery = self._scenery
         self._av_pose = self._motion.advance(scenery.observer.pose(sighting, scenery.av_id))
-        self._record.add(self._shown(sighting))
+        frame = self._shown(sighting)
+        self._record.add(frame)
+        self._own_stop.note(self._record.step)
+        self._jumps.note(self._record.step, frame, self._takeover.placed())
 
     def stop(self, ended: TurnEnd) -> None:
         """End the attack here: the AV has gone (``av_gone``), or the session is over (``time``)."""

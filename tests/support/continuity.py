@@ -26,6 +26,8 @@ SLIP = 0.4
 TURN_RAD = 0.15
 TURN_PER_M = 0.35
 """The curvature of SUMO's narrowest turns, and a hand-over's 0.1 rad."""
+CLIMB_M, STEEP = 0.6, 0.35
+"""Heights are those under SUMO's fronts; lanes that meet at a junction differ by decimetres."""
 ON_FOOT_RAD = 0.5
 """Pedestrians turn on the spot, by at most half a turn in 0.6 s."""
 LANE_M = 4.5
@@ -93,6 +95,7 @@ def _bounds(
     far, way = np.hypot(*np.moveaxis(moved, -1, 0)), fastest * DT_S
     yield "moves", far, np.where(sumos, LANE_M, SLACK_M) + FASTER * way
     yield "moves sideways by", aside, np.where(sumos, LANE_M, ASIDE_M) + SLIP * way
+    yield "climbs", np.abs(np.diff(tracks.z_m, axis=1)), CLIMB_M + STEEP * way
     most = np.where(on_foot, ON_FOOT_RAD, TURN_RAD)
     yield "turns by", np.abs(turn), np.where(sumos, np.pi, most) + TURN_PER_M * way
 

@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from deepmf_sumo.scene import (
     VehicleModel,
     agent_ids,
 )
-from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.ground import ground_of
 from deepmf_sumo.scene.road_users import PEOPLE
 from deepmf_sumo.sumo.network.carriageway import carriageway_of
@@ -43,17 +41,13 @@ from deepmf_sumo.sumo.simulation.sumo_config import (
     begun,
     read_configuration,
 )
+from deepmf_sumo.sumo.simulation.sumo_jumps import SumoJumps
 from deepmf_sumo.sumo.simulation.vehicle_control import CREEP_MPS, OwnStop, SumoOwner, Takeover
 from deepmf_sumo.sumo.simulation.way_on import WayOn
 from deepmf_sumo.sumo.simulation.world import World
 
 _LOOK_FURTHER_S = 300.0
 """Time after the start in which the message looks for a missing AV."""
-_FASTER: Final = 1.15
-"""A box turns about its rear axle, so its centre may be faster than SUMO's front."""
-_AHEAD_M: Final = 1.0
-_LANE_M: Final = 4.5
-"""SUMO changes lanes within a step."""
 
 
 @contextmanager
@@ -110,7 +104,7 @@ class TrafficWorld:
             self._leave_out_people(api.vehicle.getIDList())
             self._frames = [self._without_people(frame) for frame in self._frames]
         self._frame = self._frames[-1]
-        self._found: Frame | None = None  # of SUMO in the last step
+        self._jumps = SumoJumps(api, case.av_id, self.events)
         if detail := self._reader.bodies.stiffened():
             event = Event(step=self._step, agent_id=case.av_id, kind="av_is_stiff", detail=detail)
             self.events.append(event)
@@ -119,8 +113,8 @@ class TrafficWorld:
         length = self.body(case.av_id).size_m[0]
         start = read_pose(api, case.av_id, length)
         self.av = SumoAv(api, case.av_id, length, start, self._way_back(case.road), footways)
-        self._own_stop, self._stops = OwnStop(api, case.av_id), False
-        self._note_own_stop()
+        self._own_stop = OwnStop(api, case.av_id, self.events)
+        self._own_stop.note(self._step)
         self.next_owner: NextOwner = SumoOwner(self._takeover, self._occupancy, self._made.ids)
         self._signals = LiveSignals(api, signal_links(configuration.net))
 
@@ -171,57 +165,13 @@ class TrafficWorld:
             self._leave_out_people(self._api.simulation.getDepartedIDList())
         if self.av.present:
             self.av.after_step()
-            self._note_own_stop()
+            self._own_stop.note(self._step)
         self._takeover.after_step()
         found = self._reader.read()
-        self._note_jumps(found, besides=self._note_teleports())
+        put = self._takeover.placed().keys() | ({self.av.id} if self.av.placed else set())
+        self._jumps.note(self._step, found, put)
         self._frame = self._shown(found)
         return self._frame
-
-    def _note_own_stop(self) -> None:
-        """Say where the AV comes to a stop of its route, and where it has left it."""
-        near = self._own_stop.near
-        if near != self._stops:
-            kind = "av_stop_ahead" if near else "av_stop_over"
-            self.events.append(Event(step=self._step, agent_id=self.av.id, kind=kind))
-            self._stops = near
-
-    def _note_teleports(self) -> set[AgentId]:
-        """Say which vehicles SUMO took off the road, or put onto it elsewhere: they were stuck."""
-        simulation = self._api.simulation
-        moved = {*simulation.getStartingTeleportIDList(), *simulation.getEndingTeleportIDList()}
-        for agent in sorted(moved - {self.av.id}):
-            detail = "SUMO took it for stuck"
-            event = Event(step=self._step, agent_id=agent, kind="teleported", detail=detail)
-            self.events.append(event)
-        return moved
-
-    def _note_jumps(self, now: Frame, besides: Collection[AgentId]) -> None:
-        """Say whom SUMO itself moves farther in a step than it drives and changes lanes.
-
-        Over junctions without lanes inside, into stops beside the road, to waiting places.
-        """
-        before, self._found = self._found, now
-        if before is None:
-            return
-        if before.ids == now.ids:
-            old = new = np.arange(len(now.ids))
-        else:
-            row_of = {agent: row for row, agent in enumerate(before.ids)}
-            pairs = [(row_of[one], row) for row, one in enumerate(now.ids) if one in row_of]
-            old, new = np.array(pairs, int).reshape(-1, 2).T
-        moved = now.position_m[new] - before.position_m[old]
-        speeds = np.hypot(*before.velocity_mps[old].T), np.hypot(*now.velocity_mps[new].T)
-        way_m = _FASTER * np.maximum(*speeds) * DT_S
-        ahead_m = np.abs((moved * frames.unit(before.heading_rad[old])).sum(-1))
-        far = (ahead_m > way_m + _AHEAD_M) | (np.hypot(*moved.T) > way_m + _LANE_M)
-        put = self._takeover.placed().keys() | ({self.av.id} if self.av.placed else set())
-        for pair in np.flatnonzero(far).tolist():
-            agent = now.ids[new[pair]]
-            if agent not in {*besides, *put} and agent_ids.whole_of(agent) == agent:
-                detail = f"SUMO moved it by {np.hypot(*moved[pair]):.1f} m in a step"
-                event = Event(step=self._step, agent_id=agent, kind="jumped", detail=detail)
-                self.events.append(event)
 
     def _shown(self, frame: Frame) -> Frame:
         """What SUMO has after a step, with AV and opponent where they are shown and were put."""

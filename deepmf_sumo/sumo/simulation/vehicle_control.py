@@ -72,11 +72,23 @@ def has_stops(api: SumoApi, vehicle_id: str) -> bool:
 
 
 class OwnStop:
-    """Whether a vehicle comes to, or keeps, a stop of its route: it slows down for it."""
+    """Whether an AV comes to, or keeps, a stop of its route: it slows down for it.
 
-    def __init__(self, api: SumoApi, vehicle_id: str) -> None:
-        self._vehicle, self._id = api.vehicle, vehicle_id
+    ``events``: gets ``av_stop_ahead`` and ``av_stop_over``.
+    """
+
+    def __init__(self, api: SumoApi, vehicle_id: str, events: list[Event]) -> None:
+        self._vehicle, self._id, self._events = api.vehicle, vehicle_id, events
         self._has = bool(self._vehicle.getStops(vehicle_id))
+        self._was = False
+
+    def note(self, step: int) -> None:
+        """Say where it comes to a stop of its route, and where it has left it; each step."""
+        near = self.near
+        if near != self._was:
+            kind = "av_stop_ahead" if near else "av_stop_over"
+            self._events.append(Event(step=step, agent_id=self._id, kind=kind))
+            self._was = near
 
     @property
     def near(self) -> bool:
