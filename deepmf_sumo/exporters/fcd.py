@@ -8,8 +8,9 @@ vehicle is on the middle of its lane; a vehicle whose track ends drives on to it
 
 import os
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
@@ -23,7 +24,12 @@ from deepmf_sumo.scene.geometry import boxes, frames
 from deepmf_sumo.scene.road_users import RoadUserClass, class_of
 from deepmf_sumo.scene.rollout import Role
 from deepmf_sumo.sumo.network import mapping
-from deepmf_sumo.sumo.network.sumo_net import RAIL_VEHICLES, read_once
+from deepmf_sumo.sumo.network.sumo_net import (
+    OTHER_VEHICLES,
+    RAIL_VEHICLES,
+    NetLane,
+    read_once,
+)
 
 FILE: Final = "sumo/"
 NET, TYPES, SHAPES = "net.net.xml", "types.add.xml", "shapes.add.xml"
@@ -38,6 +44,9 @@ _SHAPES: Final[dict[RoadUserClass, str]] = {
     "car": "passenger", "truck": "truck", "motorcycle": "motorcycle", "bicycle": "bicycle",
     "pedestrian": "pedestrian", "other": "passenger",
 }  # fmt: skip
+_OFF_ROAD: Final = (*RAIL_VEHICLES, *OTHER_VEHICLES, "bicycle")
+_INSERTS_M: Final = 90.0
+"""SUMO inserts vehicles of a replay on lanes for cars up to 100 m away."""
 _SEEN_M = 50.0
 """Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
@@ -78,10 +87,11 @@ def _fill(folder: Path, run: Exportable) -> None:
     (folder / TYPES).write_text(_types(rollout, run.made), "utf-8")
     (folder / SHAPES).write_text(_shapes(rollout, replayed), "utf-8")
     (folder / FCD).write_text(_fcd(rollout, tracks.valid, run.made), "utf-8")
-    if (replayed == tracks.valid).all():  # most of a run's disk space
+    begins = _begins(tracks, replayed, net)
+    if (replayed == tracks.valid).all() and not begins:  # most of a run's disk space
         _same(folder / FCD, folder / REPLAY)
     else:
-        (folder / REPLAY).write_text(_fcd(rollout, replayed, run.made), "utf-8")
+        (folder / REPLAY).write_text(_fcd(rollout, replayed, run.made, begins), "utf-8")
     (folder / VIEW).write_text(_view(rollout, road), "utf-8")
     end = tracks.steps * rollout.dt_s
     (folder / CONFIG).write_text(_config(net_name, additional, end, rollout.dt_s), "utf-8")
@@ -96,9 +106,9 @@ def _same(file: Path, other: Path) -> None:
 
 
 def _rails(net: Path) -> list[Floats]:
-    """(P, 2) each: centre lines of the lanes of trams and trains."""
+    """(P, 2) each: centre lines of the lanes of trams, trains, ships and the like."""
     lanes = (lane for edge in read_once(net).edges.values() for lane in edge.lanes)
-    return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, RAIL_VEHICLES))]
+    return [one.shape_m[:, :2] for one in lanes if any(map(one.allows, _OFF_ROAD))]
 
 
 def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:
@@ -116,6 +126,43 @@ def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:
     found = tree.query(shapely.points(front), predicate="dwithin", distance=reach)[0]
     on_lane[row[found], step[found]] = True
     return on_lane
+
+
+def _begins(tracks: Tracks, replayed: Bools, net: Path) -> dict[tuple[int, int], str]:
+    """A lane and a place on it for the first step of agents far from all lanes for cars.
+
+    By agent and step. SUMO looks for lanes for cars alone, and leaves out whom it cannot insert;
+    from the second step on it finds all lanes. It inserts nobody inside a junction.
+    """
+    lanes, cars, every = _streets(net)
+    found: dict[tuple[int, int], str] = {}
+    if not lanes:
+        return found
+    for row in np.flatnonzero(replayed.any(axis=1)).tolist():
+        step = int(replayed[row].argmax())
+        pose = tracks.position_m[row, step], tracks.heading_rad[row, step]
+        front = shapely.Point(*frames.to_sumo(*pose, tracks.size_m[row, 0])[0])
+        if not len(cars.query(front, predicate="dwithin", distance=_INSERTS_M)):
+            nearest = int(every.nearest(front))
+            line = every.geometries[nearest]
+            share = float(shapely.line_locate_point(line, front, normalized=True))
+            along = f"{share * lanes[nearest].length_m:.4f}"
+            found[row, step] = f' lane={quoteattr(lanes[nearest].id)} pos="{along}"'
+    return found
+
+
+@files.while_unchanged(2)
+def _streets(net: Path) -> tuple[list[NetLane], shapely.STRtree, shapely.STRtree]:
+    """The lanes outside junctions, but for people; the lines of those for cars, and of all."""
+    lanes = [
+        lane
+        for edge in read_once(net).edges.values()
+        for lane in (() if edge.function else edge.lanes)
+        if len(lane.shape_m) > 1 and (lane.road or any(map(lane.allows, _OFF_ROAD)))
+    ]
+    lines = np.array([shapely.LineString(lane.shape_m[:, :2]) for lane in lanes], object)
+    cars = np.array([lane.allows("passenger") for lane in lanes], bool)
+    return lanes, shapely.STRtree(lines[cars]), shapely.STRtree(lines)
 
 
 def _from_first(on_lane: Bools) -> Bools:
@@ -167,7 +214,12 @@ def _type_of(row: int, agent: AgentId, made: Collection[AgentId]) -> str:
     return f"type_{row}_made" if agent in made else f"type_{row}"
 
 
-def _fcd(rollout: Rollout, present: Bools, made: Collection[AgentId]) -> str:
+def _fcd(
+    rollout: Rollout,
+    present: Bools,
+    made: Collection[AgentId],
+    begins: Mapping[tuple[int, int], str] = MappingProxyType({}),
+) -> str:
     tracks = rollout.tracks
     types = [_type_of(row, agent, made) for row, agent in enumerate(tracks.ids)]
     front, angle = frames.to_sumo(tracks.position_m, tracks.heading_rad, tracks.size_m[:, None, 0])
@@ -183,7 +235,8 @@ def _fcd(rollout: Rollout, present: Bools, made: Collection[AgentId]) -> str:
         rows = np.flatnonzero(present[:, step])
         lines += [
             f'{begun[row]}{x:.4f}" y="{y:.4f}" angle="{turned:.4f}" type="{types[row]}" '
-            f'speed="{speed:.4f}"' + (f' z="{z:.2f}"/>' if raised else "/>")
+            f'speed="{speed:.4f}"{begins.get((row, step), "")}'
+            + (f' z="{z:.2f}"/>' if raised else "/>")
             for row, (x, y, turned, speed, z) in zip(
                 rows.tolist(), values[rows, step].tolist(), strict=True
             )

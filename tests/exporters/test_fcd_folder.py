@@ -171,3 +171,30 @@ def test_buildings_and_water_beside_a_network_are_in_the_folder(tmp_path):
     assert fcd.MAP in (tmp_path / "sumo" / fcd.CONFIG).read_text()
     write(rollout, replace(traffic, road=case.road), tmp_path / "plain")
     assert not (tmp_path / "plain" / fcd.MAP).exists()
+
+
+@pytest.mark.parametrize("permission", ["bus", "tram", "subway", "ship", "bicycle"])
+def test_sumo_replays_what_begins_on_a_lane_that_is_not_for_cars(tmp_path, permission):
+    """Each pose is the one that was written."""
+    net = tmp_path / "track.net.xml"
+    net.write_text(
+        '<net version="1.20"><location netOffset="0,0" convBoundary="0,0,300,0" '
+        'origBoundary="0,0,300,0" projParameter="!"/><edge id="e" from="a" to="b"><lane id="e_0" '
+        f'index="0" allow="{permission}" speed="20" length="300" shape="0,0 300,0"/></edge>'
+        '<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0 0,1"/>'
+        '<junction id="b" type="dead_end" x="300" y="0" incLanes="e_0" intLanes="" '
+        'shape="300,0 300,1"/></net>'
+    )
+    scene = scene_of(straight_road(), {"av": straight_motion(60.0, 0.4, 0.0, 12.0)})
+    case = in_traffic(case_of(scene, tmp_path))
+    rollout = rollout_of({"av": straight(60, 0, 12)}, opponent_id=None)
+    write(rollout, replace(case, road=road_of_net(net), net_file=net), tmp_path / "sumo")
+    out = tmp_path / "seen.xml"
+    program = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+    command = [program, "-c", tmp_path / "sumo" / fcd.CONFIG, "--fcd-output", out]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    seen = poses(out)
+    written = poses(tmp_path / "sumo" / fcd.FCD)
+    assert seen.keys() == written.keys()
+    np.testing.assert_allclose([seen[one] for one in written], [*written.values()], atol=0.01)

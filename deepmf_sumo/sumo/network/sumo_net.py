@@ -30,6 +30,8 @@ ROAD_VEHICLES: Final = (
 )  # fmt: skip
 RAIL_VEHICLES: Final = ("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway")
 """SUMO's classes of vehicles whose lanes are roads and tracks; bicycles are neither."""
+OTHER_VEHICLES: Final = ("cable_car", "ship", "container", "aircraft", "drone")
+"""Those whose lanes are neither."""
 _NARROWEST_M: Final = 2.5
 """Narrower lanes of `OWN_CLASSES` alone are strips for parked vehicles."""
 TURNS: Final = {
@@ -316,7 +318,7 @@ def _edge(element: ET.Element) -> NetEdge:
         id=key,
         start=element.get("from", ""),
         end=element.get("to", ""),
-        function=element.get("function", ""),
+        function="" if (function := element.get("function", "")) == "normal" else function,
         type=element.get("type", ""),
         lanes=tuple(_lane(lane, key, row) for row, lane in enumerate(element.iter("lane"))),
         name=_name(element),

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepmf_sumo.scene import AgentId, AgentKind, Floats, agent_ids
-from deepmf_sumo.sumo.network.sumo_net import RAIL_VEHICLES
+from deepmf_sumo.sumo.network.sumo_net import OTHER_VEHICLES, RAIL_VEHICLES
 from deepmf_sumo.sumo.simulation.frame import Body, Frame
 from deepmf_sumo.sumo.simulation.long_vehicles import LongVehicles, State
 from deepmf_sumo.sumo.simulation.sumo_api import SumoApi, asking
@@ -19,8 +19,7 @@ from deepmf_sumo.sumo.simulation.sumo_api import SumoApi, asking
 _KINDS: Final[Mapping[str, AgentKind]] = {
     **dict.fromkeys(("bicycle", "scooter"), "cyclist"),
     **dict.fromkeys(("pedestrian", "wheelchair"), "pedestrian"),
-    **dict.fromkeys(RAIL_VEHICLES, "other"),
-    **dict.fromkeys(("cable_car", "ship", "container", "aircraft", "drone"), "other"),
+    **dict.fromkeys((*RAIL_VEHICLES, *OTHER_VEHICLES), "other"),
 }
 """Kinds of SUMO's vehicle classes; all others are vehicles. ``other`` never attacks."""
 _NOWHERE_M: Final = -1e8

@@ -1,6 +1,8 @@
 """Elements of networks: counted by hand, and by SUMO's own reader of networks."""
 
+import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from deepmf_sumo.results.risk import places as places_module
 from deepmf_sumo.results.risk.elements import BETWEEN, ELEMENTS, Element
 from deepmf_sumo.results.risk.places import Spot
 from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetLane
+from deepmf_sumo.sumo.network.sumo_road import road_of_net
 
 NETS = Path(__file__).resolve().parents[3] / "sumo_nets"
 NAMES = ("arterial", "four_way", "highway", "roundabout", "rural")
@@ -186,3 +189,34 @@ def test_places_of_vehicles_are_none_of_paths_and_tracks(file):
     assert bool(edges) == (file.parent.name != "rail")
     if file.parent.name == "DRT":
         assert len(edges) < len(net.getEdges())
+
+
+@pytest.mark.parametrize(
+    ("edges", "lanes"),
+    [
+        (' function="normal"', ""),
+        ("", ' allow="bus"'),
+        ("", ' allow="hov evehicle"'),
+        ("", ' allow="custom2"'),
+        ("", ' disallow="passenger"'),
+    ],
+)
+def test_a_network_said_in_another_way_has_the_same_elements(tmp_path, edges, lanes):
+    """Edges with SUMO's name for the usual function, and roads for others than cars."""
+    text = (NETS / "four_way" / "four_way.net.xml").read_text()
+    text = re.sub(r' (dis)?allow="[^"]*"', "", text)
+    text = re.sub(r'<edge id="(?!:)[^"]*"', lambda tag: tag[0] + edges, text)
+    twin = tmp_path / "twin.net.xml"
+    twin.write_text(text.replace("<lane ", f"<lane{lanes} "))
+    found = elements.everywhere(places_module.read(twin))
+    assert {element: len(sites) for element, sites in found.items()} == counts("four_way")
+    roads = [road_of_net(file) for file in (twin, NETS / "four_way" / "four_way.net.xml")]
+    assert len({len(road.lines) for road in roads}) == 1
+    assert len({len(road.edges) for road in roads}) == 1
+
+
+def test_lanes_for_buses_beside_those_of_cars_are_not_counted():
+    edge = edge_of(np.array([[0.0, 0, 0], [60, 0, 0]]))
+    bus = replace(edge.lanes[0], id="e_1", index=1, allow=frozenset({"bus"}))
+    both = replace(edge, lanes=(*edge.lanes, bus))
+    assert Element(LANES, "1 lane") in elements._of_edge(both)
