@@ -478,9 +478,11 @@ def _point(feature: Described) -> Floats:
 def points_of(values: Any) -> Floats:
     """(P, 3), a copy; a missing third coordinate is 0."""
     points = np.array(values, float)
+    if not points.size:
+        return np.zeros((0, 3))
     points = points.reshape(len(points), -1)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
-    if len(points) and points.shape[1] != 3:
+    if points.shape[1] != 3:
         raise ValueError(f"points have {points.shape[1]} coordinates")
     return points.reshape(-1, 3)

@@ -239,6 +239,48 @@ def test_states_that_are_not_finite_are_dropped_and_counted(read, field, tmp_pat
 
 
 @pytest.mark.parametrize("read", FORMATS)
+@pytest.mark.parametrize("metres", [0.0, -4.5, 1e-6, 1e6, float("nan"), float("inf")])
+def test_what_is_no_size_of_a_road_user_is_not_used(read, metres, tmp_path):
+    message = by_hand.scenario()
+    for state in message.tracks[0].states:
+        state.length = metres
+    scene = read(message, tmp_path)
+    assert tuple(scene.tracks.size_m[0, :2]) == (4.7, 2.0)
+    assert any("typical of its kind (vehicle)" in repair for repair in scene.repairs)
+    for state in message.tracks[2].states:
+        state.width = metres
+    assert "the AV (12) has no size" in reason(read(message, tmp_path))
+
+
+@pytest.mark.parametrize("read", FORMATS)
+@pytest.mark.parametrize("metres", [-1.5, 1e6])
+def test_what_is_no_height_of_a_road_user_is_unknown(read, metres, tmp_path):
+    """And does not lift or sink it: the other car stands where it stood, at its middle's height."""
+    message = by_hand.scenario()
+    for state in message.tracks[0].states:
+        state.height = metres
+    scene = read(message, tmp_path)
+    assert scene.tracks.size_m[0, 2] == 0.0
+    assert scene.tracks.z_m[0, 20] == 1.0
+    assert f"Agent 7 has a height of {metres:g} m; it is unknown." in scene.repairs
+
+
+@pytest.mark.parametrize("read", FORMATS)
+def test_a_lane_without_points_is_dropped(read, tmp_path):
+    message = by_hand.scenario()
+    del message.map_features[1].lane.polyline[:]
+    scene = read(message, tmp_path)
+    assert set(scene.road.lanes) == {"100", "102"}
+    assert "Lanes without points were dropped: 101." in scene.repairs
+
+
+@pytest.mark.parametrize("read", FORMATS)
+def test_a_scene_of_a_step_is_told_how_many_it_needs(read, tmp_path):
+    message = by_hand.scenario(steps=1, now=0)
+    assert "has 1 steps, and at least 12 are needed" in reason(read(message, tmp_path))
+
+
+@pytest.mark.parametrize("read", FORMATS)
 def test_heights_are_as_recorded(read, tmp_path):
     message = by_hand.scenario()
     for state in message.tracks[0].states:

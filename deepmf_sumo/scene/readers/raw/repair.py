@@ -39,6 +39,10 @@ MOST_POINTS: Final = 2_000_000
 """The largest maps of scenes have 2 000 features with 100 000 points in all."""
 LONGEST_SENTENCE: Final = 2000
 """Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
+_SIZES_M: Final = (0.05, 200.0)
+"""Lengths and widths outside are no measurements of a road user,"""
+_HIGHEST_M: Final = 30.0
+"""nor are larger heights."""
 _HIGH_M: Final = 1.0
 """Tracks at 0 stay there where the road is nearer to 0 than this, or flatter."""
 
@@ -150,8 +154,8 @@ def _refuse_extent(agents: Sequence[str], steps: int, now: int) -> None:
         )
     if steps < now + 2:
         raise ReaderError(
-            f"has {steps} steps, but the current one is {now}, so that no future was recorded; "
-            "take a file of the training or validation split"
+            f"has {steps} steps, and at least {now + 2} are needed: step {now} is the current one, so "
+            "that no future was recorded; take a file of the training or validation split"
         )
 
 
@@ -223,7 +227,7 @@ def _refuse_values(tracks: Tracks) -> None:
         if bad.any():
             agent, step = np.argwhere(bad)[0]
             raise ReaderError(f"{name} of {tracks.ids[agent]} at step {step} is not finite")
-    flat = ~(tracks.size_m[:, :2] > 0).all(-1)
+    flat = ~((tracks.size_m[:, :2] > 0).all(-1) & np.isfinite(tracks.size_m).all(-1))
     if flat.any():
         raise ReaderError(f"agent {tracks.ids[int(flat.argmax())]} has no length or width")
 
@@ -244,12 +248,15 @@ def _finished(raw: RawTracks, now: int, av_id: str, repairs: list[str]) -> Track
     sizes, sized = _sizes(ids, raw.size_m[rows], valid, now, repairs)
     for agent in np.flatnonzero(~sized):
         if ids[agent] == av_id:
-            raise ReaderError(f"the AV ({av_id}) has no size")
+            raise ReaderError(f"the AV ({av_id}) has no size{_plausible()}")
         length, width, _ = sizes[agent] = usual_size_m(kinds[agent])
         repairs.append(
-            f"Agent {ids[agent]} has no size; {length} x {width} m, typical of its kind "
-            f"({kinds[agent]}), was used."
+            f"Agent {ids[agent]} has no size{_plausible()}; {length} x {width} m, typical of its "
+            f"kind ({kinds[agent]}), was used."
         )
+    for agent in np.flatnonzero(~((sizes[:, 2] >= 0) & (sizes[:, 2] <= _HIGHEST_M))):
+        repairs.append(f"Agent {ids[agent]} has a height of {sizes[agent, 2]:g} m; it is unknown.")
+        sizes[agent, 2] = 0.0
     return Tracks(
         ids=tuple(ids),
         kinds=tuple(kinds),
@@ -287,6 +294,10 @@ def _ground_m(middle_m: Floats, height_m: Floats, valid: Bools) -> Floats:
     return np.where(told, middle_m - height_m[:, None] / 2, middle_m)
 
 
+def _plausible() -> str:
+    return f" of {_SIZES_M[0]:g} to {_SIZES_M[1]:g} m"
+
+
 def _sizes(
     ids: list[str], size_m: Floats, valid: Bools, now: int, repairs: list[str]
 ) -> tuple[Floats, Bools]:
@@ -296,7 +307,8 @@ def _sizes(
     """
     away = np.abs(np.arange(valid.shape[1]) - now)
     far = len(away) * 2
-    sized = valid & np.isfinite(size_m).all(-1) & (size_m[..., :2] > 0).all(-1)
+    measured = (size_m[..., :2] >= _SIZES_M[0]) & (size_m[..., :2] <= _SIZES_M[1])
+    sized = valid & np.isfinite(size_m).all(-1) & measured.all(-1)
     nearest = np.where(valid, away, far).argmin(axis=1)
     usable = np.where(sized, away, far).argmin(axis=1)
     has_size = np.asarray(sized.any(axis=1))
