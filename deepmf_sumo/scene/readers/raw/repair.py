@@ -154,8 +154,8 @@ def _refuse_extent(agents: Sequence[str], steps: int, now: int) -> None:
         )
     if steps < now + 2:
         raise ReaderError(
-            f"has {steps} steps, and at least {now + 2} are needed: step {now} is the current one, so "
-            "that no future was recorded; take a file of the training or validation split"
+            f"has {steps} steps, and at least {now + 2} are needed: step {now} is the current one, "
+            "so that no future was recorded; take a file of the training or validation split"
         )
 
 
