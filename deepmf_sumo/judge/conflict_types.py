@@ -301,12 +301,22 @@ class Meeting:
         av, opponent = self.courses
         came = float(frames.difference(opponent.came_rad, av.came_rad))
         if self.type in ACROSS | {"head-on"} or abs(came) > _OPPOSITE_RAD:
-            return "ahead"
+            return self._kerb() if self.tracks.kinds[self.other] == "pedestrian" else "ahead"
         if abs(came) > _SAME_RAD:
             return "left" if came < 0 else "right"
         if abs(left) > _BESIDE_M:
             return "left" if left > 0 else "right"
         return "ahead" if ahead > 0 else "behind"
+
+    def _kerb(self) -> Side:
+        """Of somebody on foot who comes toward the AV: from beside its way, or along it."""
+        tracks, at = self.tracks, (self.av, self.step)
+        was_m = tracks.position_m[self.other, self.first : self.step + 1]
+        left = frames.to_local(was_m, tracks.position_m[at], float(tracks.heading_rad[at]))[:, 1]
+        most = float(left[np.abs(left).argmax()])
+        if abs(most) <= _BESIDE_M + tracks.size_m[self.av, 1] / 2:
+            return "ahead"
+        return "left" if most > 0 else "right"
 
     def turned(self) -> Who:
         """Which vehicle turned across, changed lanes, or drove ahead; empty where neither did."""

@@ -63,6 +63,19 @@ def test_over_the_road_and_on_a_crossing():
     )
 
 
+@pytest.mark.parametrize(
+    ("y", "degrees", "side"),
+    [(-7.0, 155.0, "the right"), (7.0, -155.0, "the left"), (-0.4, 180.0, "ahead")],
+)
+def test_who_walks_toward_the_av_came_from_the_kerb_where_it_stood(y, degrees, side):
+    """It steps off the kerb 7 m beside the middle of the AV's lane, aslant."""
+    path = walks(70 if y > -1 else 65, y, (9, 3.3), heading=np.radians(degrees))
+    far = -y / np.tan(np.radians(degrees)) if side != "ahead" else 0.0
+    path[:, 0] += 60.0 - path[0, 0] - far
+    said = sentence(episode(AV, Drawn(path), road=STREET))
+    assert f"stepped onto the road from {side}; it" in said
+
+
 def test_standing_and_beside_the_road():
     said = sentence(episode(AV, Drawn(stands(58, 0)), road=STREET))
     assert said.startswith("The AV held its speed and ran into a pedestrian who stood on the road")

@@ -41,8 +41,8 @@ _SPEEDS_KMH: Final = (0.0, 10.0, 30.0, 50.0, 70.0, 100.0, inf)
 """Bounds of the classes of the AV's speed."""
 _RULES: Final[Mapping[str, tuple[str, frozenset[str]]]] = {
     "give way": (
-        "signs, or right before left, tell the AV to give way",
-        frozenset({"give way", "right before left"}),
+        "signs, or the side that it comes from, tell the AV to give way",
+        frozenset({"give way", "right before left", "left before right"}),
     ),
     "priority of the AV": ("others have to give way to it", frozenset({"priority"})),
     "stop": ("it has to stop before it goes on", frozenset({"stop", "all-way stop"})),

@@ -19,7 +19,7 @@ KMH: Final = 3.6
 BETWEEN: Final = "between junctions"
 _BY_TYPE: Final[Mapping[str, str]] = {
     "priority": "priority signs", "priority_stop": "stop signs", "allway_stop": "all-way stop",
-    "right_before_left": "right before left", "left_before_right": "right before left",
+    "right_before_left": "right before left", "left_before_right": "left before right",
     "zipper": "zipper merge", "rail_crossing": "rail crossing", "rail_signal": "rail crossing",
     "unregulated": "no rule of priority",
 }  # fmt: skip

@@ -268,6 +268,7 @@ def read(net_file: Path) -> Places:
     inner = {link.origin: link for link in net.links if link.origin.startswith(":")}
     greens, rings = _lights_and_rings(net_file)
     roads = {lane.id for edge in net.edges.values() for lane in edge.lanes if lane.road}
+    kinds = {one.id: one.type for one in net.junctions}
     by_edges: dict[tuple[str, str], list[NetLink]] = defaultdict(list)
     for link in net.links:
         ends = link.origin.rpartition("_")[0], link.target.rpartition("_")[0]
@@ -284,13 +285,14 @@ def read(net_file: Path) -> Places:
                 )
         junction = net.edges[origin].end
         name = _name(junction, origin, target)
+        rules = (_rule(one, greens, kinds.get(junction, "")) for one in links)
         movements[name] = Movement(
             id=name,
             junction=junction,
             origin=origin,
             target=target,
             turn=TURNS.get(links[0].direction, ""),
-            rule=" / ".join(dict.fromkeys(filter(None, (_rule(one, greens) for one in links)))),
+            rule=" / ".join(dict.fromkeys(filter(None, rules))),
             lanes=tuple(lane for link in links for lane in _chain(link, inner)),
             driven=any(one.origin in roads and one.target in roads for one in links),
         )
@@ -330,9 +332,10 @@ def _lights_and_rings(net_file: Path) -> tuple[dict[tuple[str, int], set[str]], 
     return shown, frozenset(rings)
 
 
-def _rule(link: NetLink, greens: dict[tuple[str, int], set[str]]) -> str:
+def _rule(link: NetLink, greens: dict[tuple[str, int], set[str]], junction: str) -> str:
     if not link.light:
-        return _RULES.get(link.state, "")
+        left_first = link.state == "=" and junction == "left_before_right"
+        return "left before right" if left_first else _RULES.get(link.state, "")
     shown = greens.get((link.light, link.index), set())
     if "g" in shown:
         return "protected and permissive" if "G" in shown else "permissive"

@@ -11,7 +11,8 @@ from deepmf_sumo.spec.loading import checked
 from deepmf_sumo.spec.model import Strict
 
 Control = Literal[
-    "priority", "priority_stop", "allway_stop", "right_before_left", "traffic_light"
+    "priority", "priority_stop", "allway_stop", "right_before_left", "left_before_right",
+    "traffic_light",
 ]  # fmt: skip
 """Types of junctions of SUMO that a countermeasure may ask for."""
 Seconds = Annotated[float, Field(gt=0, le=60)]

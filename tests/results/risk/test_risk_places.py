@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+import sumolib
 
 from deepmf_sumo.errors import SimulationError
-from deepmf_sumo.results.risk import places
+from deepmf_sumo.results.risk import elements, places
+from deepmf_sumo.sumo.network import sumo_tools
 
 from tests.support import risk_doubles
 
@@ -96,3 +98,27 @@ def test_a_connection_to_a_missing_edge_is_one_sentence(tmp_path):
     )
     with pytest.raises(SimulationError, match=r"from edge 'w_in' to edge 'x_.*', but no edge 'x_"):
         places.read(broken)
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("first", ["right_before_left", "left_before_right"])
+def test_the_side_that_goes_first_is_the_one_that_sumo_was_asked_for(tmp_path, first):
+    """Each crossing of a grid, as sumolib reads it; its straight ways give way to that side."""
+    file = tmp_path / "grid.net.xml"
+    sumo_tools.run(
+        *("netgenerate", "--grid", "--grid.number", "3", "-j", first, "--lefthand"),
+        *("--no-turnarounds", "-o", str(file)),
+    )
+    said = first.replace("_", " ")
+    found = places.read(file)
+    net = sumolib.net.readNet(str(file))
+    crossings = {node.getID() for node in net.getNodes() if node.getType() == first}
+    assert {one.rule for one in found.movements.values() if one.junction in crossings} <= {
+        said, "priority", "give way",
+    }  # fmt: skip
+    assert any(one.rule == said for one in found.movements.values())
+    named = elements.everywhere(found)[elements.Element("junction", said)]
+    assert {found.movements[one].junction for kind, one in named if kind == "movement"} == {
+        node.getID() for node in net.getNodes() if node.getID() in crossings
+        and len(node.getNeighboringNodes()) > 2
+    }  # fmt: skip
