@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from deepmf_sumo import foreign
 from deepmf_sumo.errors import PluginError, nearest
 
 Kind = Literal["readers", "planners", "adversaries", "metrics", "exporters"]
@@ -76,7 +77,8 @@ def load(kind: Kind, name: str) -> Any:
         return _load_class(kind, name)
     for point in _entry_points(kind):
         if point.name == name:
-            return point.load()
+            with foreign.code():
+                return point.load()
     if name not in _own(kind):
         known = names(kind)
         raise PluginError(
@@ -138,7 +140,8 @@ def _entry_points(kind: Kind) -> tuple[importlib.metadata.EntryPoint, ...]:
 def _load_class(kind: Kind, name: str) -> Any:
     module_name, _, class_name = name.partition(":")
     try:
-        return getattr(importlib.import_module(module_name), class_name)
+        with foreign.code():
+            return getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError) as error:
         raise PluginError(f"{kind} '{name}' cannot be imported: {error}.") from None
     except (

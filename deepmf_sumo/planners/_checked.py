@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from deepmf_sumo import foreign
 from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
 from deepmf_sumo.planners.remote.protocol import FASTEST_MPS, NUMBERS
@@ -128,7 +129,8 @@ def blamed() -> Iterator[None]:
     process = os.getpid()
     before, _inside[0] = _inside[0], 1
     try:
-        yield
+        with foreign.code():
+            yield
     except DeepmfError:
         raise
     except BaseException as error:

@@ -99,6 +99,17 @@ class Starts(_Planner):
         with multiprocessing.Pool(1) as pool: assert pool.map(abs, [-1]) == [1]
         multiprocessing.Process(target=stay).start()
 
+class Quiet(_Planner):
+    def go_wrong(self): pass
+
+class Sets(_Planner):
+    def go_wrong(self):
+        import warnings, numpy, torch
+        numpy.seterr(all="raise")
+        warnings.simplefilter("error")
+        torch.set_default_dtype(torch.float64)
+        torch.set_default_device("meta")
+
 class Looks(_Planner):
     def go_wrong(self):
         left = [os.getcwd() == "/", "LEFT_BEHIND" in os.environ, hasattr(_checked, "patched")]
@@ -156,6 +167,29 @@ def test_each_is_a_row_that_blames_the_planner_and_nothing_is_left(tiny, tmp_pat
     assert {name: results[f"class {name}"]["error"] for name in BLAMED} == BLAMED
     assert {name: results[f"class {name}"]["error"] for name in FINE} == dict.fromkeys(FINE, "")
     assert left() == []
+
+
+def test_what_a_planner_sets_in_libraries_changes_no_attack(tiny, tmp_path, monkeypatch):
+    """Of a planner that sets nothing the same attack is made."""
+    monkeypatch.syspath_prepend(tiny)
+    (tiny / "hostile_classes.py").write_text(f"TAG = {TAG!r}\n{PLANNERS}")
+    paths = [
+        tiny_network.spec(
+            tiny,
+            f"attacked {name}",
+            planner=f"{{name: 'hostile_classes:{name}'}}",
+            adversary="{name: deepmf, opponent: leader}",
+            duration_s="2.0",
+        )
+        for name in ("Quiet", "Sets")
+    ]
+    options = batch.Options(out=tmp_path / "out")
+    quiet, sets = batch.run([spec.load(path) for path in paths], options)
+    assert (quiet["error"], sets["error"]) == ("", "")
+    assert quiet["plans"] > 1
+    assert sets["metrics"] == quiet["metrics"]
+    drives = [options.out / "runs" / one["run_id"] / "tracks.csv.gz" for one in (quiet, sets)]
+    assert drives[0].read_bytes() == drives[1].read_bytes()
 
 
 def test_results_lie_in_a_relative_folder_though_a_planner_goes_elsewhere(
