@@ -52,6 +52,18 @@ def code() -> Iterator[None]:
         _set({name: before[name] for name in changed})
 
 
+@contextmanager
+def called() -> Iterator[None]:
+    """While a program of others calls us: numpy and torch are as they begin, not as it set them."""
+    loaded = _now()
+    before = {name: loaded[name] for name in ("errors", "torch") if name in loaded}
+    _set({name: _first(name) for name in before})
+    try:
+        yield
+    finally:
+        _set(before)
+
+
 def _now() -> dict[str, Any]:
     """Settings of the libraries that are loaded."""
     return {

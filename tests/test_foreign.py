@@ -110,6 +110,13 @@ def test_a_planner_that_loads_another_one_keeps_its_settings():
         assert np.geterr()["over"] == "ignore"
 
 
+def test_a_program_that_calls_us_keeps_its_settings():
+    with np.errstate(all="raise"):
+        with foreign.called():
+            assert np.geterr()["under"] == "ignore"
+        assert np.geterr()["under"] == "raise"
+
+
 def test_settings_of_a_block_that_raises_end_with_it():
     with np.errstate(all="ignore"):
         with pytest.raises(FloatingPointError), foreign.code():

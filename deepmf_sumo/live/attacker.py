@@ -13,6 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
+from deepmf_sumo import foreign
 from deepmf_sumo.deepmf.policy import Settings, build
 from deepmf_sumo.errors import SimulationError, UsageError, nearest
 from deepmf_sumo.live.connection import (
@@ -300,6 +301,7 @@ class Attacker:
     network, WeightsError for weights, OutputError for a folder that cannot be used.
     """
 
+    @foreign.called()
     def __init__(
         self,
         conn: Any,
@@ -360,22 +362,26 @@ class Attacker:
         """All vehicles that it drives now: attackers, and those on their way back to a lane."""
         return set().union(*(one.driving for one in self._sessions))
 
+    @foreign.called()
     def attack(self, av: AgentId | None = None) -> None:
         """Attack as soon as a vehicle can, whatever the trigger; one AV, or all of them."""
         for one in self._sessions:
             if av in {None, one.av_id}:
                 one.attack()
 
+    @foreign.called()
     def before_step(self) -> None:
         """Drive the opponents in the coming step."""
         for one in self._sessions:
             one.before_step()
 
+    @foreign.called()
     def after_step(self) -> None:
         """Observe the step."""
         for one in self._sessions:
             one.after_step()
 
+    @foreign.called()
     def close(self) -> None:
         """Hand the opponents back, and finish the files."""
         for one in self._sessions:

@@ -5,13 +5,14 @@ import mmap
 import os
 import signal
 from collections.abc import Iterator, MutableSequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Final
 
 import numpy as np
 
 from deepmf_sumo import foreign
 from deepmf_sumo.errors import DeepmfError, PlannerError
+from deepmf_sumo.planners._stepped import SteppedEpisode
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
 from deepmf_sumo.planners.remote.protocol import FASTEST_MPS, NUMBERS
 from deepmf_sumo.scene import Case, Command, VehicleModel, View
@@ -53,21 +54,23 @@ class Guard:
         self._planner = planner
         # poses fixed before the episode may jump, as recordings with gaps do
         self._may_jump = isinstance(planner, FixedPlanner)
+        # its code is in the user's own thread, between steps, where it stays as it is
+        self._here = not isinstance(planner, SteppedEpisode)
 
     def reset(self, case: Case, rng: np.random.Generator) -> None:
         """Start of an episode."""
-        with blamed():
+        with blamed(here=self._here):
             self._planner.reset(case, rng)
 
     @property
     def model(self) -> VehicleModel | None:
         """Parameters of the AV's IDM in SUMO."""
-        with blamed():
+        with blamed(here=self._here):
             return self._planner.model
 
     def act(self, view: View) -> Command:
         """The command for a step, its numbers plain ones. Raises PlannerError."""
-        with blamed():
+        with blamed(here=self._here):
             command = self._planner.act(view)
         check(command, view, may_jump=self._may_jump)
         # SUMO takes no numpy.float32, which a network computes, and no numpy.int64
@@ -124,12 +127,15 @@ def _check_distance(command: Command, view: View, at: str) -> None:
 
 
 @contextmanager
-def blamed() -> Iterator[None]:
-    """Turn every exception of a planner, SystemExit included, into a PlannerError."""
+def blamed(*, here: bool = True) -> Iterator[None]:
+    """Turn every exception of a planner, SystemExit included, into a PlannerError.
+
+    ``here``: its code runs in this thread.
+    """
     process = os.getpid()
     before, _inside[0] = _inside[0], 1
     try:
-        with foreign.code():
+        with foreign.code() if here else nullcontext():
             yield
     except DeepmfError:
         raise

@@ -85,6 +85,19 @@ def test_it_asks_the_policy_once_a_second_while_nobody_can(started, policy, tmp_
     assert started.poi.getIDCount() == 0
 
 
+@pytest.fixture
+def settings_of_the_script():
+    """What a script may set for its own numbers."""
+    torch = pytest.importorskip("torch")
+    torch.set_default_dtype(torch.float64)
+    with np.errstate(all="raise"):
+        yield
+        assert np.geterr()["under"] == "raise"
+    assert torch.get_default_dtype() == torch.float64
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.usefixtures("settings_of_the_script")
 def test_deepmf_attacks_and_the_vehicle_is_sumos_again(started, tmp_path):
     with deepmf_sumo.Attacker(
         started, av="av", trigger="call", duration_s=3.0, out=tmp_path / "live"
