@@ -164,9 +164,8 @@ def run(
         outlined.write(options.out)
         queue = _scene_by_scene(rows, plan.seeds)
         try:
-            return batch.fill(
-                store, chosen, options, report, queue=queue, known=batch.Known(changed=changed)
-            )
+            known = batch.Known(changed=changed, read=read)
+            return batch.fill(store, chosen, options, report, queue=queue, known=known)
         finally:
             if (options.out / stored.RUNS).is_file():
                 tables.write(options.out)

@@ -25,7 +25,7 @@ from deepmf_sumo.results.result import IDENTITY, Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.spec import tasks as tasks_module
 from deepmf_sumo.spec.tasks import Task, is_run_id
-from deepmf_sumo.study.sweep import episode, fork, shards
+from deepmf_sumo.study.sweep import episode, fork, shards, watch
 from deepmf_sumo.study.sweep.inputs import Input, fingerprinted, of_exporter
 from deepmf_sumo.study.sweep.limits import TIMEOUT_S
 from deepmf_sumo.study.sweep.ray_cluster import Cluster
@@ -285,7 +285,7 @@ def run_tasks(
         left = more.left if more else 0
         changed = begin(store, mine, options, read, others, left)
         shards.note(options.out, every if options.shard else None)
-        known = Known(changed=changed, others=others, left=left)
+        known = Known(changed=changed, others=others, left=left, read=read)
         results = fill(store, mine, options, report, known=known)
         while more and len(results) == len(mine) and time.monotonic() < stop:
             further, also = fingerprinted(more(results))
@@ -295,7 +295,7 @@ def run_tasks(
             others = others.without(further)
             begin(store, mine, options, read, others, more.left)
             minutes = (stop - time.monotonic()) / 60 if options.minutes else None
-            known = Known(others=others, before=tuple(results), left=more.left)
+            known = Known(others=others, before=tuple(results), left=more.left, read=read)
             results = fill(store, mine, replace(options, minutes=minutes), report, known=known)
     return results
 
@@ -340,12 +340,14 @@ class Known:
         changed: that of `begin`. others: runs of other commands.
         before: results of tasks that this batch did earlier, however they ended.
         left: number of runs that are decided later.
+        read: what the runs read, as it was when the batch began.
     """
 
     changed: tuple[str, ...] = ()
     others: OtherRuns = _NONE
     before: tuple[Result, ...] = ()
     left: int = 0
+    read: tuple[Input, ...] = ()
 
 
 def fill(
@@ -373,7 +375,7 @@ def fill(
     elif options.minutes is None:  # with a limit, the runs done must be spread over all moments
         left = fork.in_order(left)
     report(now)
-    endings, interrupted = _endings(store, left, options), True
+    endings, interrupted = _endings(store, left, options, known.read), True
     try:
         for ending in endings:
             now = _heard(now, store, left[ending.index], ending)
@@ -467,7 +469,7 @@ def _heard(before: Progress, store: Store, task: Task, ending: Finished) -> Prog
 
 
 def _endings(
-    store: Store, left: Sequence[Task], options: Options
+    store: Store, left: Sequence[Task], options: Options, read: Sequence[Input]
 ) -> Generator[Finished, None, None]:
     work = episode.TaskRunner(
         runs=store.runs.absolute(),  # a planner may go to another folder
@@ -476,6 +478,7 @@ def _endings(
         gui=options.gui,
         scenes=options.scenes,
         sumo=options.sumo,
+        begun=watch.watched(left, read),
     )
     limits = BatchLimits(
         timeout_s=options.timeout_s, memory_mb=options.memory_mb, minutes=options.minutes

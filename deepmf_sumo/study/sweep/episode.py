@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from zlib import crc32
 
 import numpy as np
@@ -58,7 +58,8 @@ from deepmf_sumo.scene.readers import RecordRef
 from deepmf_sumo.spec import Expect, FromNetwork, FromRecording
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.moments import made_people
-from deepmf_sumo.study.sweep import fork
+from deepmf_sumo.study.sweep import fork, watch
+from deepmf_sumo.study.sweep.inputs import Input
 from deepmf_sumo.study.sweep.streams import logged
 from deepmf_sumo.sumo import network, simulation
 from deepmf_sumo.sumo.simulation import sumo_api
@@ -95,6 +96,10 @@ def _yaml(value: bool) -> str:
     return "true" if value else "false"
 
 
+_CHANGED: Final = (
+    "{} has changed since the sweep began, so this run would not belong to the others; --resume"
+    " makes them all with what it is now."
+)
 Draw = Callable[[Rollout, Case, Path], None]
 
 
@@ -108,6 +113,7 @@ class TaskRunner:
         scenes: also write the rollout as a recording, ``scene.npz``.
         sumo: also write ``sumo/``, which sumo-gui opens; of networks it is always written, since
             their road is known from it.
+        begun: what the runs read, as it was when the sweep began, see `watch`.
     """
 
     runs: Path
@@ -116,10 +122,14 @@ class TaskRunner:
     gui: bool = False
     scenes: bool = False
     sumo: bool = True
+    begun: tuple[Input, ...] = ()
 
     def __call__(self, task: Task) -> None:
         """Run the task. A run that fails leaves its reason in ``result.json``."""
         begin = time.perf_counter()
+        if other := watch.changed(task, self.begun):
+            finish(self.runs, task, result.unfinished(task, "failed", _CHANGED.format(other), 0.0))
+            return
         try:
             self._do(task)
         except PlannerError as error:  # it ended the process

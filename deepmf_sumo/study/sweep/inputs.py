@@ -88,16 +88,11 @@ class _Looked:
 
     def inputs(self, spec: Spec) -> tuple[tuple[str, str], ...]:
         """For each use the digest of the files that a spec's runs read."""
-        source = spec.source
-        if isinstance(source, FromNetwork):
-            read: tuple[object, ...] = (source.network, source.sumo_options)
-        else:
-            read = (source.recording,)
-        key = repr((*read, spec.weights, spec.planner, spec.adversary))
+        key = key_of(spec)
         if key not in self._by_spec:
             self._by_spec[key] = tuple(
                 (use, _joined(found))
-                for use, paths in _paths(spec).items()
+                for use, paths in paths_of(spec).items()
                 if (found := [got for path in dict.fromkeys(paths) if (got := self._digest(path))])
             )
         return self._by_spec[key]
@@ -146,7 +141,17 @@ def digest(path: Path) -> str:
     return hasher.hexdigest()
 
 
-def _paths(spec: Spec) -> dict[Use, list[Path]]:
+def key_of(spec: Spec) -> str:
+    """The same for specs whose runs read the same files."""
+    source = spec.source
+    if isinstance(source, FromNetwork):
+        read: tuple[object, ...] = (source.network, source.sumo_options)
+    else:
+        read = (source.recording,)
+    return repr((*read, spec.weights, spec.planner, spec.adversary))
+
+
+def paths_of(spec: Spec) -> dict[Use, list[Path]]:
     """The files that a spec's runs read, by what they are for."""
     source = spec.source
     read = _of_sumo(source) if isinstance(source, FromNetwork) else [source.recording]
