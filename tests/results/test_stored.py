@@ -3,6 +3,7 @@
 import copy
 import csv
 import json
+import shutil
 
 import pytest
 
@@ -47,6 +48,21 @@ def test_merge_refuses_ids_that_are_no_names_of_runs(tmp_path, run_id):
     with pytest.raises(UsageError, match=r"shard\.json is damaged: .* not the id of a run"):
         shards.merge(tmp_path / "out", [given])
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("first", [None, "a,b\n1,2\n"], ids=["missing", "damaged"])
+def test_the_table_of_moments_is_that_of_a_part_that_has_it(tmp_path, first):
+    table = "run_id,start_s\nmade-up--a--0,3.0\n"
+    parts = [shard(tmp_path / name) for name in "ab"]
+    shutil.rmtree(parts[1] / "runs" / "made-up--a--0")
+    (parts[1] / stored.MOMENTS).write_text(table)
+    if first:
+        (parts[0] / stored.MOMENTS).write_text(first)
+        with pytest.raises(UsageError, match="is not a table of moments"):
+            shards.merge(tmp_path / "alone", parts[:1])
+        assert not (tmp_path / "alone").exists()
+    shards.merge(tmp_path / "out", parts)
+    assert (tmp_path / "out" / stored.MOMENTS).read_text() == table
 
 
 def test_merge_refuses_a_run_that_reaches_elsewhere_by_a_link(tmp_path):

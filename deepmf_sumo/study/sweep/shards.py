@@ -22,8 +22,8 @@ from deepmf_sumo.spec.tasks import Task
 
 FILE: Final = "shard.json"
 _WAYS: Final = "--overwrite deletes them, another folder for OUT keeps them"
-_WHOLE: Final = (stored.MOMENTS, stored.FLOW)
-"""Tables that are complete in every part."""
+_WHOLE: Final = {stored.MOMENTS: stored.moments_of, stored.FLOW: stored.flows_of}
+"""Tables that are complete in every part, and how each is read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,20 +68,37 @@ def merge(
 
     ``overwrite`` deletes earlier results in ``out``; without it they are refused.
 
-    Raises UsageError for folders of other batches or versions, or that hold a run twice, and
-    OutputError.
+    Raises UsageError for folders of other batches or versions, that hold a run twice, or all of
+    which have a damaged table of moments or flows, and OutputError.
     """
     runs = _common(shards)
     found = found_in(shards, runs)
     missing = [run_id for run_id in runs if run_id not in found]
+    whole = {name: shard for name in _WHOLE if (shard := _having(name, shards)) is not None}
     junit_too = any((shard / "junit.xml").is_file() for shard in shards)
     with joining(out, shards, runs, found, overwrite=overwrite) as store:
         results = copied(store, shards, runs, found)
-        for name in _WHOLE:
-            if (shards[0] / name).is_file():
-                files.copy(shards[0] / name, out / name)
+        for name, shard in whole.items():
+            files.copy(shard / name, out / name)
         store.finish(results, junit_too=junit_too, interrupted=bool(missing))
     return results, missing
+
+
+def _having(name: str, shards: Sequence[Path]) -> Path | None:
+    """The first part that has a table, undamaged; None where no part has it.
+
+    Raises UsageError where it is damaged in all.
+    """
+    having = [shard for shard in shards if (shard / name).is_file()]
+    for shard in having:
+        try:
+            _WHOLE[name](shard)
+        except UsageError:
+            if shard == having[-1]:
+                raise
+        else:
+            return shard
+    return None
 
 
 def of_benchmark(shard: Path) -> bool:
