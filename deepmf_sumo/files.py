@@ -126,6 +126,16 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(f"{path} cannot be written: {reason(error)}.") from None
 
 
+def check_writable(folder: Path) -> None:
+    """Raise OutputError, before any work is done, where no file can be written into a folder.
+
+    The folder may be missing; nothing is left behind.
+    """
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    with writing(folder), tempfile.TemporaryFile(dir=there):
+        pass
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[BinaryIO]:
     """A file to write to, which takes the name ``path`` at the end of the block.

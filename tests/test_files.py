@@ -290,3 +290,11 @@ def test_every_file_that_a_user_names_is_opened_in_one_place():
     }
     assert found - OURS.keys() == set(), "read and write by deepmf_sumo.files"
     assert OURS.keys() - found == set(), "does not open files any more"
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path, given):
+    files.check_writable(tmp_path / "new" / "deep")
+    assert list(tmp_path.iterdir()) == [given]
+    for folder in (given / "out", Path("/proc/self/task")):
+        with pytest.raises(OutputError, match=f"^{folder} cannot be written: "):
+            files.check_writable(folder)

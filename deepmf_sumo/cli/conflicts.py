@@ -86,6 +86,7 @@ def command(
     keys, _ = taken(sets, ConflictKeys)
     named = (recording.TRAJECTORIES, recording.ROAD_USERS) if trj else ()
     _refuse(out, (LIST, PLACES, ABOUT, *named), overwrite)
+    files.check_writable(out)
     options = ctx.meta[AFTER]
     configuration = read_configuration(config, options)
     seed = configuration.seed if given["seed"] is None else given["seed"]

@@ -98,6 +98,12 @@ def test_the_traffic_as_trajectories_is_where_sumo_s_own_output_has_it(tmp_path,
     assert seen > 500
 
 
+def test_a_folder_that_cannot_be_written_is_told_before_the_simulation(monkeypatch, capsys):
+    monkeypatch.setattr("deepmf_sumo.roadcheck.conflicts.observe", None)
+    asked = ROUNDABOUT, "--until", 5, "--out", "/proc/self/task/conflicts"
+    assert "/proc/self/task/conflicts cannot be written: " in refused(capsys, *asked)
+
+
 def test_tables_are_replaced_only_when_told(tmp_path, capsys):
     (tmp_path / "conflicts.csv").write_text("mine")
     asked = ROUNDABOUT, "--until", 5, "--out", tmp_path

@@ -21,6 +21,7 @@ def check(file: Path) -> None:
         raise OutputError(f"{file} exists; move it away, or give another --out.")
     if not file.absolute().parent.is_dir():
         raise OutputError(f"{file.parent} is not a folder; make it first, or give another --out.")
+    files.check_writable(file.parent)
 
 
 def write(found: Shrunk, file: Path) -> None:

@@ -3,6 +3,7 @@
 import itertools
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import yaml
 
 from deepmf_sumo import api
 from deepmf_sumo.cli import main
-from deepmf_sumo.errors import RunError, SpecError, UsageError
+from deepmf_sumo.errors import OutputError, RunError, SpecError, UsageError
 from deepmf_sumo.results import tracks
 from deepmf_sumo.scene.readers import npz
 from deepmf_sumo.study import shrink
@@ -167,6 +168,8 @@ def test_what_cannot_be_shrunk_is_refused_in_one_sentence(hit, tmp_path, capsys)
         shrink.run_of(folder.out, "00-ones")
     assert main.run(["shrink", str(hit), "--out", str(tmp_path / "no" / "x.yaml")]) == 2
     assert "is not a folder" in capsys.readouterr().err
+    with pytest.raises(OutputError, match="cannot be written"):  # before the search, which is long
+        shrink.check(Path("/proc/self/task/x.yaml"))
     copy = shutil.copytree(hit, tmp_path / "copy")
     text = (hit / "spec.yaml").read_text()
     (copy / "spec.yaml").write_text(text.replace("constant_velocity", "no_such:Planner"))
