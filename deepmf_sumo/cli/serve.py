@@ -100,8 +100,9 @@ def _check(config: Path, options: Sequence[str]) -> None:
     """Raise what is wrong with a configuration before a client comes, unless options replace it."""
     from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
 
-    if not {"-n", "--net-file"} & {one.partition("=")[0] for one in options}:
-        read_configuration(config)
+    named = {one.partition("=")[0] for one in options}
+    if not {"-n", "--net-file"} & named:
+        read_configuration(config, simulated="--mesosim" not in named)
 
 
 def _tell_steps(server: "SumoServer") -> None:

@@ -69,7 +69,7 @@ def command(
         raise UsageError("--moments 1: it takes two, one for each side.")
     changes = document.load(file)
     _check(out, wanted)
-    built = building.build(config, changes, out)
+    built = building.build(config, changes, out, ctx.meta[AFTER])
     for line in built.done:
         click.echo(line)
     placed = wanted["junctions"] or wanted["edges"] or any(one.startswith(_PLACES) for one in sets)

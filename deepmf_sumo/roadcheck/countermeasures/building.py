@@ -43,6 +43,8 @@ _SECONDS: Final = 240.0
 _SLACK_S: Final = 0.11
 """A step of SUMO, and rounding."""
 _STATES: Final = "signal-states.xml"
+_CHANGED: Final = ("net-file", "additional-files")
+"""Options of SUMO that name what is changed."""
 _GREEN, _YELLOW = "Gg", "yY"
 
 State = tuple[float, str]
@@ -58,12 +60,12 @@ class Short(NamedTuple):
     time_s: float
 
 
-def check(config: Path, change: Change, foes: Foes) -> str:
-    """A sentence on what SUMO shows of a changed signal.
+def check(config: Path, change: Change, foes: Foes, options: Sequence[str] = ()) -> str:
+    """A sentence on what SUMO, with its ``options``, shows of a changed signal.
 
     Raises UsageError where that is not what was asked for, SimulationError if SUMO cannot be run.
     """
-    states = list(_states(config, change.signal or ""))
+    states = list(_states(config, change.signal or "", options))
     wanted = {"yellow": change.yellow_s, "all-red": change.all_red_s}
     found = list(too_short(states, foes, wanted))
     if found:
@@ -106,8 +108,8 @@ def too_short(
         last = state
 
 
-def _states(config: Path, signal: str) -> Iterable[State]:
-    configuration = read_configuration(config)
+def _states(config: Path, signal: str, options: Sequence[str]) -> Iterable[State]:
+    configuration = read_configuration(config, options)
     event = f'<timedEvent type="SaveTLSSwitchStates" source={quoteattr(signal)} dest="{_STATES}"/>'
     traffic = Traffic(configuration=configuration, seed=configuration.seed)
     with command_line(traffic, event) as (arguments, folder):
@@ -139,14 +141,21 @@ class Built:
     edges: tuple[str, ...]
 
 
-def build(config: Path, changes: Sequence[Change], out: Path) -> Built:
+def build(config: Path, changes: Sequence[Change], out: Path, options: Sequence[str] = ()) -> Built:
     """Write the changed configuration to ``out/after``, the patch to ``out/patch``.
 
+    ``options`` are SUMO's, with which both sides are run.
+
     Raises SimulationError for a configuration that cannot be read, UsageError for a change that
-    names nothing in the network or cannot be made, and where nothing changes, ConversionError of
-    netconvert, OutputError.
+    names nothing in the network or cannot be made, where nothing changes, and for options that
+    name the files to change, ConversionError of netconvert, OutputError.
     """
-    given = read_configuration(config)
+    if wrong := set(_CHANGED) & sumo_options.parse(options).keys():
+        raise UsageError(
+            f"SUMO's option --{min(wrong)} cannot be given here: both sides would have that file,"
+            f" and none the change; name it in '{config}'."
+        )
+    given = read_configuration(config, options)
     with files.writing(out):
         work = _Work(given, changes, out)
         return work.built()
@@ -188,7 +197,7 @@ class _Work:
         for change in self.changes:
             if change.signal:
                 foes, _ = self._links(self.net.getTLS(change.signal))
-                self.done.append(check(after, change, foes))
+                self.done.append(check(after, change, foes, self.config.options))
         self._write_patch()
         return Built(
             before=before, after=after, patch=self.out / PATCH, done=tuple(self.done),

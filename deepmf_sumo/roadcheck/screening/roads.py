@@ -288,7 +288,7 @@ def _named(file: Path) -> tuple[Path, tuple[Path, ...]]:
     if top == "net":
         return file, ()
     if file.suffix in {".sumocfg", ".cfg"} or "configuration" in top.lower():
-        found = read_configuration(file)
+        found = read_configuration(file, simulated=False)
         return found.net, found.additional
     raise UsageError(
         f"{file} contains <{top}>: it is neither a network of SUMO nor a .sumocfg; give"

@@ -80,8 +80,12 @@ class Configuration:
 _MORE_DEMAND = {"load-state", "device.fcd-replay.files"}
 
 
-def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
+def read_configuration(
+    file: Path, beside: Sequence[str] = (), *, simulated: bool = True
+) -> Configuration:
     """Read a .sumocfg, with SUMO's options ``beside`` it.
+
+    Of one that is not ``simulated`` here, the mesoscopic model does not matter.
 
     Raises SimulationError if the file is missing, is not XML, names no network, a file that does
     not exist or a path with a comma, or asks for the mesoscopic model; UsageError for options that
@@ -100,10 +104,11 @@ def read_configuration(file: Path, beside: Sequence[str] = ()) -> Configuration:
         raise SimulationError(
             f"'{file}' names {1 + len(others) if net else 0} networks; name one in <net-file>."
         )
-    if truth(options.get("mesosim", "false")):
+    if simulated and truth(options.get("mesosim", "false")):
         raise SimulationError(
             f"'{file}' asks for SUMO's mesoscopic model (mesosim), which has no positions of"
-            " vehicles, so that none can be hit; run it without, e.g. '-- --mesosim false'."
+            " vehicles, so that none can be hit; run it without, e.g. '-- --mesosim false', or"
+            " set it to false in the file."
         )
     return Configuration(
         file=file,

@@ -205,7 +205,7 @@ def record_all(wanted: Wanted, out: Path, jobs: int) -> Iterator[Recorded]:
     limit_s = _START_LIMIT_S + _SCENE_LIMIT_S * wanted.scenes
     try:
         for end in workers.run(record_network, missing, jobs=jobs, timeout_s=limit_s):
-            yield _recorded(missing[end.index], end.reason)
+            yield _recorded(missing[end.index], _sentence(end.reason))
     finally:  # workers that are ended in the middle of a network cannot do so
         _remove_begun(out)
 
@@ -296,6 +296,11 @@ def _claim(wanted: Wanted, out: Path) -> None:
 def _remove_begun(out: Path) -> None:
     for left in out.glob(".*-*"):
         shutil.rmtree(left, ignore_errors=True)
+
+
+def _sentence(reason: str) -> str:
+    """What a worker says of an error, without its class and full stop where that is ours."""
+    return reason.removeprefix(f"{SimulationError.__name__}: ").removesuffix(".")
 
 
 def _recorded(task: RecordingTask, reason: str = "") -> Recorded:

@@ -26,10 +26,10 @@ def crossing(folder, control):
     )
 
 
-def built(config, text=WANTED):
+def built(config, text=WANTED, *options):
     file = config.parent / "changes.yaml"
     file.write_text(text)
-    return building.build(config, document.load(file), config.parent / "out")
+    return building.build(config, document.load(file), config.parent / "out", options)
 
 
 def runs_of(config, folder):
@@ -53,6 +53,20 @@ def test_yellow_and_all_red_are_those_asked_for(control, tmp_path):
     yellows = {seconds for seconds, state in runs if "y" in state.lower()}
     pauses = {seconds for seconds, state in runs if set(state) == {"r"}}
     assert (yellows, pauses) == ({5}, {2})
+
+
+@pytest.mark.sumo
+def test_options_of_sumo_that_name_what_is_changed_are_refused(tmp_path):
+    """They hide the change from both sides: the option is stronger than the configuration."""
+    config = crossing(tmp_path, "static")
+    for option in ("-n", "--net-file", "-a", "--additional-files"):
+        name = "net-file" if "n" in option[:3] else "additional-files"
+        with pytest.raises(UsageError, match=f"option --{name} cannot be given here"):
+            built(config, WANTED, option, "other.xml")
+    assert not (tmp_path / "out").exists()
+    assert (
+        built(config, WANTED, "--scale", "1.5").done[-1].endswith("SUMO shows what was asked for")
+    )
 
 
 @pytest.mark.sumo

@@ -4,6 +4,7 @@ import libsumo
 import pytest
 
 from deepmf_sumo.errors import SimulationError
+from deepmf_sumo.roadcheck.screening import roads
 from deepmf_sumo.sumo.network.sumo_net import truth
 from deepmf_sumo.sumo.simulation.sumo_config import SUMO_SEED, read_configuration
 
@@ -17,6 +18,7 @@ def test_the_mesoscopic_model_is_refused_and_can_be_switched_off(tmp_path):
     with pytest.raises(SimulationError, match=r"mesoscopic model \(mesosim\).*--mesosim false"):
         read_configuration(config)
     assert read_configuration(config, ["--mesosim", "false"]).net.name == "tiny.net.xml"
+    assert roads.opened(config).file.name == "tiny.net.xml"  # screened, and not simulated
     with pytest.raises(SimulationError, match="mesoscopic"):
         read_configuration(build(tmp_path), ["--mesosim"])
 
