@@ -56,7 +56,7 @@ def code() -> Iterator[None]:
 def called() -> Iterator[None]:
     """While a program of others calls us: numpy and torch are as they begin, not as it set them."""
     loaded = _now()
-    before = {name: loaded[name] for name in ("errors", "torch") if name in loaded}
+    before: dict[str, Any] = {name: loaded[name] for name in ("errors", "torch") if name in loaded}
     _set({name: _first(name) for name in before})
     try:
         yield
