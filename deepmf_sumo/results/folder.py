@@ -83,8 +83,12 @@ def _locked(file: Path) -> int:
                 " another folder for --out."
             ) from None
         os.close(number)  # the previous holder removed it between our opening and locking it
-    os.ftruncate(number, 0)
-    os.write(number, f"process {os.getpid()} of {socket.gethostname()}\n".encode())
+    try:
+        os.ftruncate(number, 0)
+        os.write(number, f"process {os.getpid()} of {socket.gethostname()}\n".encode())
+    except OSError:  # the disk is full: the lock would stay as long as this process
+        os.close(number)
+        raise
     return number
 
 

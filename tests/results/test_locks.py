@@ -84,3 +84,15 @@ def test_file_systems_without_locks_are_known_and_used_all_the_same(tmp_path, mo
     with folder.held(tmp_path):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_no_lock_behind(tmp_path, monkeypatch):
+    def full(number, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(folder.os, "write", full)
+        with pytest.raises(OSError, match="No space left"), folder.held(tmp_path):
+            pass
+    with folder.held(tmp_path):
+        pass
