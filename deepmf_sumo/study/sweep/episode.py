@@ -60,7 +60,7 @@ from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.moments import made_people
 from deepmf_sumo.study.sweep import fork, watch
 from deepmf_sumo.study.sweep.inputs import Input
-from deepmf_sumo.study.sweep.streams import logged
+from deepmf_sumo.study.sweep.streams import logged, shorten
 from deepmf_sumo.sumo import network, simulation
 from deepmf_sumo.sumo.simulation import sumo_api
 
@@ -177,6 +177,7 @@ class TaskRunner:
                 traceback.print_exc()
                 reason = f"{type(error).__name__}: {error} (see log.txt)"
                 found = result.unfinished(task, "failed", reason, time.perf_counter() - begin)
+        shorten(folder / stored.LOG)
         finish(self.runs, task, found)
 
     def _attack(self, task: Task, folder: Path) -> result.Result:

@@ -5,6 +5,10 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
+
+LOGGED_BYTES: Final = 1_000_000
+"""Of what a run prints."""
 
 
 @contextlib.contextmanager
@@ -22,6 +26,19 @@ def logged(path: Path) -> Iterator[None]:
             for number, copy in zip((1, 2), kept, strict=True):
                 os.dup2(copy, number)
                 os.close(copy)
+
+
+def shorten(path: Path) -> None:
+    """Leave the middle of a long log out, in place: a planner that talks must not fill the disk."""
+    with path.open("r+b") as log:
+        size = log.seek(0, os.SEEK_END)
+        if size <= LOGGED_BYTES:
+            return
+        log.seek(size - LOGGED_BYTES // 2)
+        last = log.read()
+        log.seek(LOGGED_BYTES // 2)
+        log.write(f"\n[{size - 2 * (LOGGED_BYTES // 2)} bytes are left out]\n".encode() + last)
+        log.truncate()
 
 
 def silence() -> None:

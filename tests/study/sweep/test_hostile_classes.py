@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from deepmf_sumo import spec, system
+from deepmf_sumo.results import stored
 from deepmf_sumo.study.sweep import batch
 
 from tests.support import tiny_network
@@ -99,6 +100,9 @@ class Starts(_Planner):
         with multiprocessing.Pool(1) as pool: assert pool.map(abs, [-1]) == [1]
         multiprocessing.Process(target=stay).start()
 
+class Talks(_Planner):
+    def go_wrong(self): print("first" + "x" * 3_000_000 + "last", flush=True)
+
 class Quiet(_Planner):
     def go_wrong(self): pass
 
@@ -130,7 +134,7 @@ BLAMED = {
     "ForksAndEnds": "planner_error: the planner ended its process (SIGKILL; see log.txt).",
     "ForksAndHangs": "longer than 8 s",
 }
-FINE = ("Forks", "Starts", "Leaves", "Looks")
+FINE = ("Forks", "Starts", "Leaves", "Looks", "Talks")
 TAG = f"left-by-a-planner-{os.getpid()}"
 
 pytestmark = [
@@ -167,6 +171,12 @@ def test_each_is_a_row_that_blames_the_planner_and_nothing_is_left(tiny, tmp_pat
     assert {name: results[f"class {name}"]["error"] for name in BLAMED} == BLAMED
     assert {name: results[f"class {name}"]["error"] for name in FINE} == dict.fromkeys(FINE, "")
     assert left() == []
+    log = options.out / "runs" / results["class Talks"]["run_id"] / stored.LOG
+    said = log.read_text()
+    assert len(said) < 1_000_100
+    assert said.startswith("first")
+    assert "bytes are left out]" in said
+    assert said.rstrip().endswith("last")
 
 
 def test_what_a_planner_sets_in_libraries_changes_no_attack(tiny, tmp_path, monkeypatch):
