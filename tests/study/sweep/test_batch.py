@@ -173,7 +173,7 @@ def test_a_run_counts_whose_worker_dies_before_it_says_that_it_is_done(tiny, tmp
     specs, out = [spec.load(tiny_network.spec(tiny, "once"))], tmp_path / "out"
     (made,) = batch.run(specs, batch.Options(out=tmp_path / "whole"))
 
-    def finished_then_killed(store, left, options):
+    def finished_then_killed(store, left, options, read):
         shutil.copytree(tmp_path / "whole" / "runs" / made["run_id"], store.runs / made["run_id"])
         yield workers.Finished(index=0, status="crashed", reason="the worker died: SIGKILL")
 
@@ -184,7 +184,7 @@ def test_a_run_counts_whose_worker_dies_before_it_says_that_it_is_done(tiny, tmp
 
 
 def test_a_run_without_a_result_fails_alone(tiny, tmp_path, monkeypatch):
-    def gone(store, left, options):
+    def gone(store, left, options, read):
         yield workers.Finished(index=0, status="done")
 
     monkeypatch.setattr(batch, "_endings", gone)
