@@ -9,6 +9,7 @@ network and its traffic, the file of a recording, weights, and code.
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from deepmf_sumo import files, plugins
@@ -79,8 +80,9 @@ def _files(spec: Spec) -> list[Path]:
             for path in paths:
                 data = use in {"source", "weights"}
                 if path.is_dir():
-                    inside = [] if data else files.inside(path)
-                    found |= dict.fromkeys(one for one in inside if one.suffix == ".py")
+                    with suppress(OSError):  # as digests of what cannot be read
+                        inside = [] if data else list(files.inside(path))
+                        found |= dict.fromkeys(one for one in inside if one.suffix == ".py")
                 elif data or _is_code(path, spec):
                     found[path] = None
         _of_specs[key] = list(found)
