@@ -5,7 +5,7 @@ A network is attacked only after its traffic has built up.
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from deepmf_sumo.study.moments.moment import (
     Moment,
     WantedMoments,
     around,
+    drives,
     opponents,
     suitable,
 )
@@ -67,6 +68,11 @@ def choose(
     if len(rows):
         spread = _Spread(sightings, turns, wish, rows, met or nobody_met(sightings))
         moments = spread.draw()
+        alone = rows[drives(sightings, wish.duration_s)[rows]] if wish.made_too else rows[:0]
+        if not moments and len(alone):  # people are made near it
+            by_people = replace(wish, people="made")
+            spread = _Spread(sightings, turns, by_people, alone, met or nobody_met(sightings))
+            moments = spread.draw()
         if len(moments) < wish.count and wish.people:
             reason = "at other times all vehicles that people could attack are under attack already"
         elif len(moments) < wish.count:

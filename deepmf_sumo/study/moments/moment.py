@@ -57,6 +57,7 @@ class WantedMoments:
         from_s: only from this time of the simulation on; ``settled``: see `choice`.
         where: the area that is attacked, in words; empty: the whole network.
         people: who attacks: people of the demand, made ones, or both; empty: vehicles.
+        made_too: where no vehicle has another one near, moments at which made people can attack.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -73,6 +74,7 @@ class WantedMoments:
     from_s: float | Literal["settled"] | None = None
     where: str = ""
     people: Who | Literal[""] = ""
+    made_too: bool = False
     by_option: bool = True
 
     def named(self, key: str) -> str:

@@ -75,13 +75,15 @@ def request(spec: Spec, *, by_option: bool = False) -> MomentRequest:
     key = "--moments-of" if by_option else "source.moments.of"
     again = read(asked.of, key, spec.name, spec.seed) if asked.of else ()
     count = asked.count or len(asked.at_s or again) or 10
-    people = source.people.who if spec.adversary.settings.get("attackers") == "people" else ""
+    attackers, made = spec.adversary.settings.get("attackers"), source.people.who != "existing"
+    people = source.people.who if attackers == "people" else ""
     wish = WantedMoments(
         count=count,
         pool=POOL * count if asked.draw == "promising" else 0,
         **asked.model_dump(include={"av", "av_type", "at_s", "from_s"}),
         prefer="spread" if people else asked.prefer,  # encounters are of vehicles
         people=people,
+        made_too=attackers == "all" and made,
         again=again,
         duration_s=spec.duration_s,
         seed=spec.seed,

@@ -10,6 +10,7 @@ import pytest
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.scene import Lane, RoadMap
 from deepmf_sumo.scene.geometry.ground import ground_of
+from deepmf_sumo.spec import Spec
 from deepmf_sumo.study.moments import choice, search
 from deepmf_sumo.study.moments.choice import choose
 from deepmf_sumo.study.moments.flow import accompanied
@@ -124,6 +125,32 @@ def test_nobody_to_attack_has_a_reason(sightings, wish, reason):
     found = choose(sightings, TURNS, WantedMoments(count=3, **wish))
     assert found.moments == ()
     assert re.search(reason, found.reason)
+
+
+def test_where_vehicles_are_far_apart_people_who_are_made_attack():
+    """As if they alone attacked; where vehicles are near, nothing changes."""
+    alone = choose(traffic(apart=60.0), TURNS, WantedMoments(count=3, made_too=True))
+    by_people = choose(traffic(apart=60.0), TURNS, WantedMoments(count=3, people="made"))
+    assert len(alone.moments) == 3
+    assert alone.moments == by_people.moments
+    slow = choose(traffic(apart=60.0, speed=1.0), TURNS, WantedMoments(count=3, made_too=True))
+    assert not slow.moments
+    near = [choose(traffic(), TURNS, WantedMoments(count=3, made_too=it)) for it in (True, False)]
+    assert near[0].moments == near[1].moments
+
+
+@pytest.mark.parametrize(
+    ("attackers", "who", "too"),
+    [("all", "made", True), ("all", "both", True), ("all", "existing", False),
+     ("people", "made", False), ("vehicles", "made", False)],
+)  # fmt: skip
+def test_made_people_count_where_all_attack(attackers, who, too):
+    sent = {"network": str(SUMO_CONFIG), "moments": {"count": 1}, "people": who}
+    spec = Spec.model_validate(
+        {"version": 3, "name": "a", "source": sent, "planner": {"name": "idm"}, "weights": "open",
+         "adversary": {"name": "deepmf", "attackers": attackers}},
+    )  # fmt: skip
+    assert search.request(spec).wish.made_too == too
 
 
 @pytest.mark.parametrize(
