@@ -154,6 +154,7 @@ def relay(
         step_s: of the client's steps without an end of their own; None: they are SUMO's.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
+    system.let_interrupts_through()
     pids = [sumo_pid]
     threading.Thread(target=_end_with_parent, args=(pids,), daemon=True).start()
     _serve(listener, inner, parent, pids, folder, gui=gui, step_s=step_s)

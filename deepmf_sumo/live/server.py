@@ -11,6 +11,7 @@ import socket
 import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -82,7 +83,9 @@ class SumoServer:
             name="traci relay",
             daemon=True,
         )
-        self._relay.start()
+        resource_tracker.ensure_running()  # starting it would let interrupts through
+        with system.interrupts_held_back():
+            self._relay.start()
         says.close()
         self._listener.close()  # it is the relay's now
 

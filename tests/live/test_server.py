@@ -29,7 +29,7 @@ from deepmf_sumo.cli import _leaving, main
 from deepmf_sumo.errors import WeightsError, exit_code
 from deepmf_sumo.live.attacker import AttackRequest, prepare
 from deepmf_sumo.live.relay import CLOSE, GET_SIMULATION, LARGEST, LOAD, ORDER, STEP, _Filter
-from deepmf_sumo.live.server import _finer
+from deepmf_sumo.live.server import SumoServer, _finer
 
 from tests.support.forked_workers import Command
 
@@ -754,6 +754,16 @@ def test_a_signal_before_a_client_comes_ends_sumo_too(served):
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)
     assert process.returncode == 130
+
+
+def test_the_process_that_relays_begins_without_hearing_of_ctrl_c(tiny, tmp_path, monkeypatch):
+    """A terminal sends it to all processes; one that loads would print where it was."""
+    monkeypatch.chdir(tiny)
+    with SumoServer(tiny / "tiny.sumocfg", 0, tmp_path) as server:
+        for _ in range(3):
+            os.kill(server._relay.pid, signal.SIGINT)
+            time.sleep(0.3)
+        assert server._relay.is_alive()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="its processes have no groups")

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import IO, Final, NamedTuple
 
@@ -54,7 +55,9 @@ def run(work: Callable[[], object], shared: object = None) -> ProcessEnd:
         context = multiprocessing.get_context("spawn")
         in_planner = context.RawArray("b", 1)
         process = context.Process(target=_life, args=(folder, Path.cwd(), os.getpid(), in_planner))
-        process.start()
+        resource_tracker.ensure_running()  # starting it would let interrupts through
+        with system.interrupts_held_back():
+            process.start()
         process.join()
         _print(folder / _LOG)
         return ProcessEnd(
@@ -73,6 +76,7 @@ def _print(log: Path) -> None:
 def _life(folder: Path, here: Path, parent: int, in_planner: _checked.Flag) -> None:
     """Main function of the new process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    system.let_interrupts_through()
     threading.Thread(
         target=_end_with_parent, args=(folder, parent), name=WATCHER, daemon=True
     ).start()
