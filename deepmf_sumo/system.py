@@ -232,6 +232,16 @@ def let_interrupts_through() -> None:
         _sigmask(_SIG_UNBLOCK, {signal.SIGINT})
 
 
+def interrupt() -> None:
+    """Interrupt this process as Ctrl-C does, from any thread."""
+    if _sigmask is None:
+        import _thread
+
+        _thread.interrupt_main()
+    else:  # it wakes what waits, too
+        os.kill(os.getpid(), signal.SIGINT)
+
+
 class Ticks:
     """Calls a function now and then, once `every` has said how often.
 

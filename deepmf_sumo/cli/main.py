@@ -11,6 +11,7 @@ import os
 import pkgutil
 import signal
 import sys
+import threading
 import traceback
 from typing import Final, NoReturn
 
@@ -34,6 +35,7 @@ SECTIONS: Final = {
 _INSTALLED_APART: Final = ("torch", "onnx", "onnxscript", "onnxruntime")
 """Packages that the light installation or some extras leave out."""
 _SUMO_HOME: Final = "--sumo-home"
+_AGAIN_S: Final = 0.02
 _FULL: Final = {errno.ENOSPC, errno.EDQUOT}
 _MAKE_ROOM: Final = (
     "make room where --out is, and give the same command again; sweeps go on with --resume, and"
@@ -115,6 +117,7 @@ def commands() -> None:
 def main() -> NoReturn:
     """Run the command line; errors are one line on standard error, never a traceback."""
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _unraised
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of files can be any bytes
@@ -126,6 +129,21 @@ def main() -> NoReturn:
         # `exec` ran, as imports of data classes do, however it was handled; the next text resets it
         exec("")  # noqa: S102
     sys.exit(code)
+
+
+def _unraised(what: "sys.UnraisableHookArgs") -> None:
+    """An interrupt that comes within a callback of C code, which cannot raise it, comes again.
+
+    A moment later, and from a thread: else it would be raised here, and be lost again.
+    """
+    if isinstance(what.exc_value, KeyboardInterrupt):
+        from deepmf_sumo import system
+
+        again = threading.Timer(_AGAIN_S, system.interrupt)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(what)
 
 
 def run(arguments: list[str]) -> int:

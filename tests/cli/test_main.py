@@ -321,3 +321,22 @@ def test_an_interrupt_while_a_text_is_executed_ends_with_the_same_code(tmp_path)
     line = [sys.executable, "-m", "interrupted", "x"]
     done = subprocess.run(line, check=False, cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stderr.strip()) == (130, "deepmf-sumo: interrupted")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_within_a_callback_of_c_code_is_not_lost(number):
+    """Python prints what such a callback raises, and goes on; here ctypes calls it."""
+    code = (
+        "import ctypes, signal, time, click; from deepmf_sumo.cli import main; import sys\n"
+        "@click.command()\n"
+        "def command():\n"
+        f"    ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal({int(number)}))()\n"
+        "    time.sleep(60)\n"
+        "main.Commands.get_command = lambda *_: command\n"
+        "sys.argv[1:] = ['x']; main.main()"
+    )
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(
+        line, check=False, cwd=ROOT, capture_output=True, text=True, timeout=30
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.strip()) == (130, "deepmf-sumo: interrupted")
