@@ -52,6 +52,7 @@ def ablate(folder, *more):
     return main(list(map(str, arguments)))
 
 
+@pytest.mark.slow
 @pytest.mark.sumo
 def test_one_command_gives_the_table_and_repeats_nothing(folder, capsys):
     assert ablate(folder) == 0

@@ -58,6 +58,7 @@ def test_only_the_flawed_places_differ_from_those_of_their_kind(config):
             assert str(nature(flawed)) not in good
 
 
+@pytest.mark.slow
 def test_traffic_flows_and_sumo_misses_the_one_yellow(config):
     program = BUILD.NETCONVERT.with_name("sumo")
     done = subprocess.run(
