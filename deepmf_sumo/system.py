@@ -232,14 +232,28 @@ def let_interrupts_through() -> None:
         _sigmask(_SIG_UNBLOCK, {signal.SIGINT})
 
 
+def interrupts() -> Iterator[signal.Signals]:
+    """What interrupts this process from outside.
+
+    Not Ctrl-C in what a script started with `&`, which SIGTERM can interrupt all the same; neither
+    in a worker.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) not in (signal.SIG_IGN, signal.SIG_DFL):
+            yield number
+
+
 def interrupt() -> None:
-    """Interrupt this process as Ctrl-C does, from any thread."""
+    """Interrupt this process from any thread, as from outside; nothing where nothing does."""
+    number = next(interrupts(), None)
+    if number is None:
+        return
     if _sigmask is None:
         import _thread
 
-        _thread.interrupt_main()
+        _thread.interrupt_main(number)
     else:  # it wakes what waits, too
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
 
 
 class Ticks:

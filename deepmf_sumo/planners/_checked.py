@@ -3,14 +3,13 @@
 import math
 import mmap
 import os
-import signal
 from collections.abc import Iterator, MutableSequence
 from contextlib import contextmanager, nullcontext
 from typing import Final
 
 import numpy as np
 
-from deepmf_sumo import foreign
+from deepmf_sumo import foreign, system
 from deepmf_sumo.errors import DeepmfError, PlannerError
 from deepmf_sumo.planners._stepped import SteppedEpisode
 from deepmf_sumo.planners.base import ClosingPlanner, FixedPlanner, Planner
@@ -140,8 +139,8 @@ def blamed(*, here: bool = True) -> Iterator[None]:
     except DeepmfError:
         raise
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and not _ignored(signal.SIGINT):
-            raise
+        if isinstance(error, KeyboardInterrupt) and any(system.interrupts()):
+            raise  # else the planner raised it itself
         reason = f"{type(error).__name__}: {_text(error)} (see log.txt)"
         raise PlannerError(reason, kind="crashed") from error
     finally:
@@ -156,8 +155,3 @@ def _text(error: BaseException) -> str:
         return str(error)
     except Exception:  # noqa: BLE001 - of the planner
         return "its text cannot be read"
-
-
-def _ignored(number: signal.Signals) -> bool:
-    """Whether a signal is ignored, as Ctrl-C is in workers: then the planner raised it itself."""
-    return signal.getsignal(number) is signal.SIG_IGN

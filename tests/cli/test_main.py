@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import click
@@ -323,8 +324,15 @@ def test_an_interrupt_while_a_text_is_executed_ends_with_the_same_code(tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "deepmf-sumo: interrupted")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_within_a_callback_of_c_code_is_not_lost(number):
+@pytest.mark.parametrize(
+    ("number", "ctrl_c"),
+    [
+        (signal.SIGINT, signal.SIG_DFL),
+        (signal.SIGTERM, signal.SIG_DFL),
+        (signal.SIGTERM, signal.SIG_IGN),  # as in what a script started with `&`
+    ],
+)
+def test_an_interrupt_within_a_callback_of_c_code_is_not_lost(number, ctrl_c):
     """Python prints what such a callback raises, and goes on; here ctypes calls it."""
     code = (
         "import ctypes, signal, time, click; from deepmf_sumo.cli import main; import sys\n"
@@ -337,6 +345,7 @@ def test_an_interrupt_within_a_callback_of_c_code_is_not_lost(number):
     )
     line = [sys.executable, "-c", code]
     done = subprocess.run(
-        line, check=False, cwd=ROOT, capture_output=True, text=True, timeout=30
+        line, check=False, cwd=ROOT, capture_output=True, text=True, timeout=30,
+        preexec_fn=partial(signal.signal, signal.SIGINT, ctrl_c),
     )  # fmt: skip
     assert (done.returncode, done.stderr.strip()) == (130, "deepmf-sumo: interrupted")

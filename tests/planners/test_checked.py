@@ -122,10 +122,16 @@ def test_a_planner_is_closed_however_the_episode_ends(config):
 
 
 @pytest.mark.parametrize(
-    ("handler", "error"),
-    [(signal.default_int_handler, KeyboardInterrupt), (signal.SIG_IGN, PlannerError)],
+    ("ctrl_c", "sigterm", "error"),
+    [
+        (signal.default_int_handler, signal.SIG_DFL, KeyboardInterrupt),
+        (signal.SIG_IGN, signal.default_int_handler, KeyboardInterrupt),  # started with `&`
+        (signal.SIG_IGN, signal.SIG_DFL, PlannerError),  # as in workers
+    ],
 )
-def test_an_interrupt_is_the_planners_error_only_where_none_can_come_from_outside(handler, error):
+def test_an_interrupt_is_the_planners_error_only_where_none_can_come_from_outside(
+    ctrl_c, sigterm, error
+):
     def interrupt(view):
         raise KeyboardInterrupt
 
@@ -134,12 +140,13 @@ def test_an_interrupt_is_the_planners_error_only_where_none_can_come_from_outsid
     view = SimpleNamespace(step=3)
     for _ in range(2):
         guard.act(view)
-    before = signal.signal(signal.SIGINT, handler)
+    before = signal.signal(signal.SIGINT, ctrl_c), signal.signal(signal.SIGTERM, sigterm)
     try:
         with pytest.raises(error):
             guard.act(view)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])
 
 
 def test_what_was_fixed_before_may_jump():
