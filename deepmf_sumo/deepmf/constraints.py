@@ -258,7 +258,7 @@ def _understood(
 def _heights_m(
     situation: Situation, known: int, futures: Futures, av_m: Floats
 ) -> tuple[Floats, Floats] | None:
-    """(N, K) of the opponent and (K) of the AV; at the ``known`` first steps those of now."""
+    """Heights (N, K) of the opponent and (K) of the AV; in the first ``known`` steps as now."""
     levels = situation.levels
     if levels is None:
         return None

@@ -131,8 +131,8 @@ def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:
 def _begins(tracks: Tracks, replayed: Bools, net: Path) -> dict[tuple[int, int], str]:
     """A lane and a place on it for the first step of agents far from all lanes for cars.
 
-    By agent and step. SUMO looks for lanes for cars alone, and leaves out whom it cannot insert;
-    from the second step on it finds all lanes. It inserts nobody inside a junction.
+    By agent and step. SUMO looks for lanes for cars alone, and leaves out what it cannot insert;
+    from the second step on it finds all lanes. It inserts no vehicle inside a junction.
     """
     lanes, cars, every = _streets(net)
     found: dict[tuple[int, int], str] = {}

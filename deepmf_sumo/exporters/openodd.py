@@ -85,7 +85,7 @@ def write(run: Exportable, path: Path, settings: Settings) -> None:
 
 
 class _Step(NamedTuple):
-    """A step of an attack; ``row`` is the AV's, ``there`` (A) who else is there, on its level."""
+    """A step of an attack; ``row`` is the AV's, ``there`` (A) all others on its level."""
 
     rollout: Rollout
     road: RoadMap

@@ -309,7 +309,7 @@ class Meeting:
         return "ahead" if ahead > 0 else "behind"
 
     def _kerb(self) -> Side:
-        """Of somebody on foot who comes toward the AV: from beside its way, or along it."""
+        """Side of a pedestrian that comes toward the AV: from beside its way, or along it."""
         tracks, at = self.tracks, (self.av, self.step)
         was_m = tracks.position_m[self.other, self.first : self.step + 1]
         left = frames.to_local(was_m, tracks.position_m[at], float(tracks.heading_rad[at]))[:, 1]

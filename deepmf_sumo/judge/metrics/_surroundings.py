@@ -7,7 +7,7 @@ import numpy as np
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, driving, once
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout, SignalState
 from deepmf_sumo.scene.geometry import frames, polylines
-from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of, on_level
+from deepmf_sumo.scene.geometry.ground import Ground, ground_of, on_level
 from deepmf_sumo.scene.signals import GOES, HALTS
 from deepmf_sumo.sumo.network.matching import match
 
@@ -225,10 +225,8 @@ def _someone_ahead(rollout: Rollout, drive: DrivenSteps, ground: Ground) -> Bool
         near = tracks.valid[row, drive.steps] & (np.hypot(*offset.T) < seen_m)
         reach = (drive.size_m[0] + tracks.size_m[row, 0]) / 2
         near &= (ahead > -reach) & ~passes & ~leaves
-        if ground.has_levels:
-            ends = tracks.position_m[row, drive.steps]
-            reached = ground.arrived(drive.position_m, drive.z_m, ends)
-            near &= ~clear(reached, tracks.z_m[row, drive.steps])
+        ends = tracks.position_m[row, drive.steps], tracks.z_m[row, drive.steps]
+        near &= ~ground.apart(drive.position_m, drive.z_m, *ends)
         found |= near
     return found
 

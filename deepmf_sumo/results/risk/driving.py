@@ -13,7 +13,7 @@ from deepmf_sumo.results.risk.elements import Element
 from deepmf_sumo.results.risk.places import Places, Spot
 from deepmf_sumo.scene import Floats, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import frames
-from deepmf_sumo.scene.geometry.ground import Ground, clear, ground_of, off_level
+from deepmf_sumo.scene.geometry.ground import Ground, ground_of, off_level
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
 
 Manoeuvre = Literal[
@@ -162,11 +162,11 @@ def _follows(tracks: Tracks, av: int, span: slice, ground: Ground) -> int:
     leads = (gap_m >= 0) & beside & alike & near
     leads &= tracks.valid[:, span] & tracks.valid[av, span]
     leads[av] = False
-    if ground.has_levels:
-        row, at = np.nonzero(leads)
-        z_m = tracks.z_m[:, span]
-        reached = ground.arrived(position_m[av, at], z_m[av, at], position_m[row, at])
-        leads[row, at] = ~clear(reached, z_m[row, at])
+    row, at = np.nonzero(leads)
+    z_m = tracks.z_m[:, span]
+    leads[row, at] = ~ground.apart(
+        position_m[av, at], z_m[av, at], position_m[row, at], z_m[row, at]
+    )
     return int(leads.any(axis=0).sum())
 
 

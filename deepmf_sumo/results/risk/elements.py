@@ -135,7 +135,7 @@ def _with_crossings(places: Places) -> frozenset[str]:
 
 
 def _lanes(edge: NetEdge) -> list[NetLane]:
-    """That cars may use; without any those of other road vehicles."""
+    """Lanes that cars may use; if there are none, lanes of other road vehicles."""
     lanes = [lane for lane in edge.lanes if lane.road] or list(edge.lanes)
     return [lane for lane in lanes if lane.allows("passenger")] or lanes
 

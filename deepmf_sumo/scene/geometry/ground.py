@@ -78,11 +78,8 @@ def off_level(
     all where the road passes nowhere over itself.
     """
     ground, others = ground_of(road), np.asarray(others_m, float)
-    if not ground.has_levels or not len(others):
-        return np.zeros(len(others), bool)
     start = np.broadcast_to(np.asarray(position_m, float), others.shape)
-    reached = ground.arrived(start, np.full(len(others), float(z_m)), others)
-    return clear(reached, others_z_m)
+    return ground.apart(start, np.full(len(others), float(z_m)), others, others_z_m)
 
 
 class Ground:
@@ -125,6 +122,15 @@ class Ground:
         steps = int(np.clip(np.ceil(farthest / _CELL_M), 1, _MOST_STEPS))
         share = np.linspace(0.0, 1.0, steps + 1)[:, None]
         return self.follow(start[:, None] + share * way[:, None], z_m)[:, -1]
+
+    def apart(self, start_m: Floats, z_m: Floats, end_m: Floats, end_z_m: Floats) -> Bools:
+        """(N) which ends (N, 2), (N) lie on a level that no straight drive from the start reaches.
+
+        None where the road passes nowhere over itself.
+        """
+        if not self.has_levels:
+            return np.zeros(len(end_m), bool)
+        return clear(self.arrived(start_m, z_m, end_m), end_z_m)
 
     def _fill(self, samples: Floats) -> None:
         """Fill the cells from points and slopes of the surface (S, 5)."""

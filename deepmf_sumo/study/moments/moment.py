@@ -57,7 +57,7 @@ class WantedMoments:
         from_s: only from this time of the simulation on; ``settled``: see `choice`.
         where: the area that is attacked, in words; empty: the whole network.
         people: who attacks: people of the demand, made ones, or both; empty: vehicles.
-        made_too: where no vehicle has another one near, moments at which made people can attack.
+        made_too: where no two vehicles are near each other, moments for attacks of made people.
         by_option: whether messages name the options of ``attack`` or the keys of a spec.
     """
 
@@ -255,8 +255,7 @@ def off_level(sightings: Sightings, rows: Ints, others: Ints) -> Bools:
     place_m, z_m = sightings.position_m, sightings.z_m
     some = np.flatnonzero(clear(z_m[rows], z_m[others]))
     one, other = rows[some], others[some]
-    reached_m = sightings.ground.arrived(place_m[one], z_m[one], place_m[other])
-    off[some] = clear(reached_m, z_m[other])
+    off[some] = sightings.ground.apart(place_m[one], z_m[one], place_m[other], z_m[other])
     return off
 
 

@@ -1,4 +1,4 @@
-"""Files that change while a sweep runs: a run that would read another one is not made.
+"""Files that change while a sweep runs: a run that would read an edited file is not made.
 
 All runs of a sweep are in one table, as runs of one planner in one traffic. SUMO, weights and
 programs are read anew by each run, and code of the user's by each worker: an edit in the meantime

@@ -34,7 +34,7 @@ class SumoJumps:
         self._before: Frame | None = None
 
     def note(self, step: int, frame: Frame, placed: Collection[AgentId]) -> None:
-        """Judge a step that led to a frame; who is ``placed`` was not moved by SUMO."""
+        """Judge a step that led to a frame; SUMO did not move the agents that were ``placed``."""
         moved = self._teleports(step)
         before, self._before = self._before, frame
         if before is not None:
@@ -50,7 +50,7 @@ class SumoJumps:
         return moved
 
     def _jumps(self, step: int, before: Frame, now: Frame, besides: Collection[AgentId]) -> None:
-        """Say whom SUMO moves farther in a step than it drives and changes lanes.
+        """Say what SUMO moves farther in a step than it drives and changes lanes.
 
         Over junctions without lanes inside, into stops beside the road, to waiting places.
         """

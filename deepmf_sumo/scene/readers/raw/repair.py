@@ -40,9 +40,9 @@ MOST_POINTS: Final = 2_000_000
 LONGEST_SENTENCE: Final = 2000
 """Characters of what is said of one fault, which can name many ids, or quote a text of the file."""
 _SIZES_M: Final = (0.05, 200.0)
-"""Lengths and widths outside are no measurements of a road user,"""
+"""Lengths and widths outside were not measured."""
 _HIGHEST_M: Final = 30.0
-"""nor are larger heights."""
+"""Larger heights were not measured."""
 _HIGH_M: Final = 1.0
 """Tracks at 0 stay there where the road is nearer to 0 than this, or flatter."""
 
