@@ -10,6 +10,7 @@ from deepmf_sumo.study.sweep import workers
 
 from tests.support import (
     continuity,
+    events_told,
     forked_workers,
     road_user_invariant,
     started_programs,
@@ -78,6 +79,7 @@ def _nothing_jumps():
     with pytest.MonkeyPatch.context() as patch:
         continuity.use(patch)
         walked_ground.use(patch)
+        events_told.use(patch)
         yield
 
 

@@ -9,7 +9,7 @@ import pytest
 from deepmf_sumo.attacks._episodes import AgentMotion
 from deepmf_sumo.baselines import _open_loop as open_loop
 from deepmf_sumo.baselines import diffscene
-from deepmf_sumo.deepmf import candidates
+from deepmf_sumo.deepmf import candidates, constraints
 from deepmf_sumo.deepmf.lane_assignment import lanes_at
 from deepmf_sumo.deepmf.networks.config import VECTOR
 from deepmf_sumo.deepmf.networks.lanes import road_index
@@ -22,9 +22,10 @@ from deepmf_sumo.judge.avoidability.intention import intends_since
 from deepmf_sumo.judge.crossings import on_crossing
 from deepmf_sumo.judge.metrics.driving import lights_passed
 from deepmf_sumo.scene import DT_S, Lane, Plan, Polygon, RoadMap, SignalState, View
+from deepmf_sumo.scene.geometry import ground
 from deepmf_sumo.scene.geometry import road as roads
 from deepmf_sumo.scene.road_users import MotionLimits
-from deepmf_sumo.sumo.network import matching
+from deepmf_sumo.sumo.network import build, conversion, matching
 from deepmf_sumo.training.evaluation import forecasts
 
 from tests.support.predictor_doubles import straight_tracks
@@ -272,3 +273,63 @@ def test_a_person_below_a_bridge_is_not_on_its_road():
         for heights in (None, (np.zeros((1, 20)), np.full(20, 8.0)))
     ]
     assert since == [0, 15]
+
+
+def test_a_person_who_runs_below_a_bridge_does_not_run_towards_its_road():
+    bridge = road_of(lane("above", (-100, 0), (100, 0), 8.0), lane("far", (0, 90), (10, 90), 0.0))
+    crossed = road_of(*bridge.lanes.values(), lane("under", (60, -50), (60, 50), 0.0))
+    runs = np.array([0.0, -9.0]) + np.arange(20)[:, None] * [0.0, 0.3]
+    av = straight(-30, 0, 10)[:20, :2]
+    flat, level = (
+        intends_since(crossed, runs[None], av, np.array([15]), DT_S, heights)[0]
+        for heights in (None, (np.zeros((1, 20)), np.full(20, 8.0)))
+    )
+    assert flat < 10
+    assert level == 15
+
+
+def test_a_plan_of_a_person_below_a_bridge_knows_the_heights_of_both():
+    """A driver on the deck has no sign of danger before the contact, with level roads it has."""
+    since = []
+    for deck_m in (8.0, 0.0):
+        view = view_of(crossing({"below": deck_m, "above": 0.0}), (deck_m, 0.0))
+        history = view.history
+        place, kinds = history.position_m.copy(), ("vehicle", "pedestrian")
+        place[1] = [-10.0, 0.0]
+        history = replace(history, position_m=place, kinds=kinds)
+        situation = Situation.of(replace(view, history=history), "b", LIMITS)
+        stands = SimpleNamespace(
+            position_m=np.tile(place[1, -1], (1, 80, 1)), heading_rad=np.zeros((1, 80))
+        )
+        drives = np.array([-40.0, 0.0]) + np.arange(1, 81)[:, None] * [1.0, 0.0]
+        since += constraints._understood(situation, stands, np.zeros(80), drives, None).tolist()
+    assert since[1] == 0 < since[0]
+
+
+def test_a_recorded_av_on_a_bridge_stays_on_its_lanes():
+    """The lane below is nearer in the plane, and joins no lane of the bridge."""
+    road = road_of(
+        lane("below", (-100, 0), (100, 0), 0.0),
+        replace(lane("up", (-200, 1), (-100, 1), 8.0), next=("deck",)),
+        replace(lane("deck", (-100, 1), (100, 1), 8.0), next=("down",)),
+        lane("down", (100, 1), (200, 1), 8.0),
+    )
+    tracks = rollout_of({"av": straight(-160, 0, 40, steps=80)}, opponent_id=None).tracks
+    leaves, prints = [], []
+    for height in (8.0, 0.0):
+        z_m = np.full(tracks.z_m.shape, height)
+        scene = replace(case_of().scene, road=road, tracks=replace(tracks, z_m=z_m))
+        leaves.append(build.leaves_lanes(scene))
+        prints.append(conversion.key(scene))
+    assert leaves == [False, True]
+    assert prints[0] != prints[1]  # what is kept of one is not taken for the other
+
+
+def test_where_a_road_has_one_level_heights_are_not_compared():
+    """Heights of recordings may count from elsewhere than those of their maps."""
+    flat, here, there = road_of(lane("a", (-100, 0), (100, 0), 3.0)), np.zeros((1, 2)), POSE[None]
+    assert ground.on_level(flat, 0.0, 100.0)
+    assert not ground.ground_of(flat).apart(here, np.zeros(1), there, np.array([100.0])).any()
+    two = crossing()
+    assert not ground.on_level(two, 0.0, 8.0)
+    assert ground.ground_of(two).apart(here, np.zeros(1), there, np.array([8.0])).all()

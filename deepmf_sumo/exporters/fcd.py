@@ -45,8 +45,6 @@ _SHAPES: Final[dict[RoadUserClass, str]] = {
     "pedestrian": "pedestrian", "other": "passenger",
 }  # fmt: skip
 _OFF_ROAD: Final = (*RAIL_VEHICLES, *OTHER_VEHICLES, "bicycle")
-_INSERTS_M: Final = 90.0
-"""SUMO inserts vehicles of a replay on lanes for cars up to 100 m away."""
 _SEEN_M = 50.0
 """Width of what sumo-gui shows; its zoom of 100 shows the whole net."""
 _ON_LANE_M = 1.65
@@ -129,12 +127,13 @@ def _on_lane(tracks: Tracks, lanes: Sequence[Floats]) -> Bools:
 
 
 def _begins(tracks: Tracks, replayed: Bools, net: Path) -> dict[tuple[int, int], str]:
-    """A lane and a place on it for the first step of agents far from all lanes for cars.
+    """A lane and a place on it for the first step of agents that begin on no lane for cars.
 
-    By agent and step. SUMO looks for lanes for cars alone, and leaves out what it cannot insert;
-    from the second step on it finds all lanes. It inserts no vehicle inside a junction.
+    By agent and step. SUMO looks for lanes for cars alone, up to 100 m away, and leaves out what it
+    cannot insert; from the second step on it finds all lanes. It inserts no vehicle inside a
+    junction.
     """
-    lanes, cars, every = _streets(net)
+    lanes, tree = _streets(net)
     found: dict[tuple[int, int], str] = {}
     if not lanes:
         return found
@@ -142,27 +141,25 @@ def _begins(tracks: Tracks, replayed: Bools, net: Path) -> dict[tuple[int, int],
         step = int(replayed[row].argmax())
         pose = tracks.position_m[row, step], tracks.heading_rad[row, step]
         front = shapely.Point(*frames.to_sumo(*pose, tracks.size_m[row, 0])[0])
-        if not len(cars.query(front, predicate="dwithin", distance=_INSERTS_M)):
-            nearest = int(every.nearest(front))
-            line = every.geometries[nearest]
+        nearest = int(tree.nearest(front))
+        lane, line = lanes[nearest], tree.geometries[nearest]
+        if not lane.allows("passenger"):
             share = float(shapely.line_locate_point(line, front, normalized=True))
-            along = f"{share * lanes[nearest].length_m:.4f}"
-            found[row, step] = f' lane={quoteattr(lanes[nearest].id)} pos="{along}"'
+            along = f"{share * lane.length_m:.4f}"
+            found[row, step] = f' lane={quoteattr(lane.id)} pos="{along}"'
     return found
 
 
 @files.while_unchanged(2)
-def _streets(net: Path) -> tuple[list[NetLane], shapely.STRtree, shapely.STRtree]:
-    """The lanes outside junctions, but for people; the lines of those for cars, and of all."""
+def _streets(net: Path) -> tuple[list[NetLane], shapely.STRtree]:
+    """The lanes outside junctions, but for people, and their lines."""
     lanes = [
         lane
         for edge in read_once(net).edges.values()
         for lane in (() if edge.function else edge.lanes)
         if len(lane.shape_m) > 1 and (lane.road or any(map(lane.allows, _OFF_ROAD)))
     ]
-    lines = np.array([shapely.LineString(lane.shape_m[:, :2]) for lane in lanes], object)
-    cars = np.array([lane.allows("passenger") for lane in lanes], bool)
-    return lanes, shapely.STRtree(lines[cars]), shapely.STRtree(lines)
+    return lanes, shapely.STRtree([shapely.LineString(lane.shape_m[:, :2]) for lane in lanes])
 
 
 def _from_first(on_lane: Bools) -> Bools:

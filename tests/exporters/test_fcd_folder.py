@@ -173,14 +173,30 @@ def test_buildings_and_water_beside_a_network_are_in_the_folder(tmp_path):
     assert not (tmp_path / "plain" / fcd.MAP).exists()
 
 
-@pytest.mark.parametrize("permission", ["bus", "tram", "subway", "ship", "bicycle"])
-def test_sumo_replays_what_begins_on_a_lane_that_is_not_for_cars(tmp_path, permission):
-    """Each pose is the one that was written."""
+@pytest.mark.parametrize(
+    ("permission", "cars_m"),
+    [
+        ("bus", 0),
+        ("tram", 0),
+        ("subway", 0),
+        ("ship", 0),
+        ("bicycle", 0),
+        ("tram", 80),
+        ("tram", 120),
+    ],
+)
+def test_sumo_replays_what_begins_on_a_lane_that_is_not_for_cars(tmp_path, permission, cars_m):
+    """Each pose is the one that was written. ``cars_m``: how far a lane for cars is, 0 for none."""
+    cars = (
+        '<edge id="c" from="a" to="b"><lane id="c_0" index="0" allow="passenger" speed="20" '
+        f'length="300" shape="0,{cars_m} 300,{cars_m}"/></edge>'
+    )
     net = tmp_path / "track.net.xml"
     net.write_text(
         '<net version="1.20"><location netOffset="0,0" convBoundary="0,0,300,0" '
         'origBoundary="0,0,300,0" projParameter="!"/><edge id="e" from="a" to="b"><lane id="e_0" '
         f'index="0" allow="{permission}" speed="20" length="300" shape="0,0 300,0"/></edge>'
+        f"{cars if cars_m else ''}"
         '<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0 0,1"/>'
         '<junction id="b" type="dead_end" x="300" y="0" incLanes="e_0" intLanes="" '
         'shape="300,0 300,1"/></net>'

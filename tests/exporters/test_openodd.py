@@ -38,13 +38,18 @@ TWO_LANES = RoadMap(
 )
 
 
-def written(tmp_path, paths, road=TWO_LANES, kinds=None, contacts=(), name="run", **settings):
-    """The document of a run in which the AV drives to the east with 36 km/h."""
+def written(
+    tmp_path, paths, road=TWO_LANES, kinds=None, contacts=(), name="run", av_z_m=0.0, **settings
+):
+    """The document of a run in which the AV drives to the east with 36 km/h; all others at 0 m."""
     rollout = rollout_of(
         {"av": straight(0, 0, 10, steps=STEPS), **paths}, contacts, opponent_id=None
     )
     if kinds:
         rollout = replace(rollout, tracks=replace(rollout.tracks, kinds=("vehicle", *kinds)))
+    z_m = rollout.tracks.z_m.copy()
+    z_m[rollout.tracks.row("av")] = av_z_m
+    rollout = replace(rollout, tracks=replace(rollout.tracks, z_m=z_m))
     case = replace(case_of(), road=road)
     run = replace(Exportable.of(rollout, case), name=name)
     exporter = plugins.load("exporters", "openodd")
@@ -85,6 +90,24 @@ def test_the_attributes_are_those_of_the_drive(tmp_path):
 def test_density_is_called_as_in_autoware_carla_scenario(tmp_path, vehicles, density):
     paths = {f"v{n}": straight(10 + 6 * n, 3.5, 10, steps=STEPS) for n in range(vehicles)}
     assert seconds(written(tmp_path, paths), "dynamic.traffic_density") == {density: 3.0}
+
+
+@pytest.mark.parametrize("level", ["on the bridge", "on the road"])
+def test_traffic_below_a_bridge_is_not_around_the_av_on_it(tmp_path, level):
+    deck = replace(lane("deck", 0.0, speed_limit_mps=90 / 3.6), z_m=np.full(2, 8.0))
+    road = replace(TWO_LANES, lanes={**TWO_LANES.lanes, "deck": deck})
+    paths = {
+        "ahead": straight(48, 0, 5, steps=STEPS),
+        "walker": straight(40, -8, 0, steps=STEPS),
+    }
+    above = level == "on the bridge"
+    kinds, av_z_m = ("vehicle", "pedestrian"), 8.0 * above
+    found = written(tmp_path, paths, road, kinds=kinds, av_z_m=av_z_m)
+    assert seconds(found, "scenery.speed_limit") == {"[80, 100)" if above else "[50, 60)": 3.0}
+    assert bool(seconds(found, "dynamic.vehicle_ahead_gap")) is not above
+    assert seconds(found, "dynamic.pedestrian_nearby") == {"false" if above else "true": 3.0}
+    density = "none" if above else "low"
+    assert seconds(found, "dynamic.traffic_density") == {density: 3.0}
 
 
 def test_inside_a_junction_lanes_are_not_counted_and_what_is_not_known_is_missing(tmp_path):

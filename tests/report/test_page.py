@@ -320,16 +320,36 @@ def test_elements_of_the_road(place, heading, element):
             "above": lane("above", [(50, -50), (50, 50)], z=8.0),
         }
     )
-    assert roads.element(road, np.array(place, float), heading) == element
+    assert roads.element(road, np.array(place, float), 0.0, heading) == element
+
+
+def test_the_element_is_of_the_level_of_the_vehicle():
+    """A bridge climbs over a road: beside its foot they meet, above they do not."""
+    under = lane("under", [(0, 0), (400, 0)], left="beside")
+    climbs = Lane(
+        id="climbs",
+        kind="street",
+        centre_m=np.array([(20, 0), (200, 0), (300, 1)], float),
+        z_m=np.array([0.0, 9.0, 9.0]),
+    )
+    across = lane("across", [(250, -50), (250, 50)])
+    road = RoadMap(lanes={one.id: one for one in (under, climbs, across)})
+
+    def at(x, z_m):
+        return roads.element(road, np.array([x, 0.2]), z_m, 0.0)
+
+    assert at(150, 0.0) == "road with several lanes"
+    assert at(150, 6.5) == "road with one lane"
+    assert (at(250, 0.0), at(250, 9.0)) == ("junction", "road with one lane")
 
 
 def test_lanes_made_up_to_join_others_are_junctions():
     joins = lane("j", [(0, 0), (10, 0)], interpolating=True)
     before = lane("b", [(-30, 0), (0, 0)], next=("j",))
     road = RoadMap(lanes={"j": joins, "b": before})
-    assert roads.element(road, np.array([5.0, 0.0]), 0.0) == "junction"
-    assert roads.element(road, np.array([-10.0, 0.0]), 0.0) == "junction approach"
-    assert roads.element(road, np.array([-25.0, 0.0]), 0.0) == "road with one lane"
+    assert roads.element(road, np.array([5.0, 0.0]), 0.0, 0.0) == "junction"
+    assert roads.element(road, np.array([-10.0, 0.0]), 0.0, 0.0) == "junction approach"
+    assert roads.element(road, np.array([-25.0, 0.0]), 0.0, 0.0) == "road with one lane"
 
 
 def luminance(colour):

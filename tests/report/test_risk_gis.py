@@ -180,7 +180,7 @@ def test_export_writes_the_map_of_risk(to, file, tmp_path):
     assert (tmp_path / "exported" / file).read_bytes() == (tmp_path / "risk" / file).read_bytes()
 
 
-@pytest.mark.parametrize("projection", ["!", "-"])
+@pytest.mark.parametrize("projection", ["!", "-", ".", "..", "..."])
 def test_geojson_without_longitude_and_latitude_is_refused_before_anything_is_written(
     projection, tmp_path, capsys
 ):

@@ -16,8 +16,10 @@ from deepmf_sumo.report.page.replay import packed, stepwise
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.scene import Floats, Lane, RoadMap
-from deepmf_sumo.scene.geometry import frames
+from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.ground import on_level, on_nearest_level
 from deepmf_sumo.scene.geometry.lane_map import per_road
+from deepmf_sumo.scene.geometry.road import lanes_for_cars
 
 AROUND_M: Final = 60.0
 """How much of the road is kept around what AV and opponent drove."""
@@ -132,20 +134,19 @@ _NEAR_M: Final = 20.0
 """A junction or a merge up to this far ahead, or a merge up to this far behind, counts."""
 _IN_M: Final = 10.0
 """Within this distance of a crossing lane is inside the junction."""
-_STOREY_M: Final = 3.0
-"""Lanes with this vertical distance do not meet."""
 _TURNED_RAD: Final = np.pi / 3
 """Lanes in other directions are not the vehicle's, unless there is no other."""
 
 
-def element(road: RoadMap, place_m: Floats, heading_rad: float) -> str:
-    """One of `ELEMENTS` for a place (2,) and the heading of the vehicle that is there.
+def element(road: RoadMap, place_m: Floats, z_m: float, heading_rad: float) -> str:
+    """One of `ELEMENTS` for a place (2,), height and heading of the vehicle that is there.
 
-    The vehicle's lane is the nearest one within 60 degrees of its heading, else the nearest.
+    The vehicle's lane is the nearest one within 60 degrees of its heading, else the nearest, of the
+    level nearest to its height.
     A junction is where the lane was generated to join two others (SUMO's internal lanes), or within
     10 m of another lane that crosses it: recordings mark no junctions.
     """
-    lane, along_m = _lane_at(road, place_m, heading_rad)
+    lane, along_m = _lane_at(road, place_m, z_m, heading_rad)
     if lane is None:
         return "off the lanes"
     ahead = [road.lanes[one] for one in lane.next if one in road.lanes]
@@ -170,37 +171,44 @@ def _crossings(road: RoadMap, lane: Lane) -> Floats:
     """(K) metres along a lane at which others cross it on the same level."""
     if len(lane.centre_m) < 2:
         return np.zeros(0)
-    lanes, lines = _driven_lanes(road)
+    others, lines = lanes_for_cars(road).lanes, _lines_for_cars(road)
     line = shapely.LineString(lane.centre_m)
+    rows = np.flatnonzero(shapely.crosses(line, lines))
+    met, of = shapely.get_coordinates(shapely.intersection(line, lines[rows]), return_index=True)
+    points = np.asarray(shapely.points(met))
+    along = np.asarray(shapely.line_locate_point(line, points), float)
     over = [
-        lines[number]
-        for number in np.flatnonzero(shapely.crosses(line, lines))
-        if abs(float(lanes[number].z_m.mean() - lane.z_m.mean())) < _STOREY_M
+        _height_m(others[row], float(shapely.line_locate_point(lines[row], point)))
+        for row, point in zip(rows[of], points, strict=True)
     ]
-    met = shapely.get_coordinates(shapely.intersection(line, np.array(over, object)))
-    return np.asarray(shapely.line_locate_point(line, shapely.points(met)), float)
+    return along[on_level(road, _height_m(lane, along), np.array(over))]
 
 
 @per_road
-def _driven_lanes(road: RoadMap) -> tuple[list[Lane], NDArray[Any]]:
-    """Lanes for cars, and their centre lines."""
-    lanes = [lane for lane in road.lanes.values() if len(lane.centre_m) > 1 and lane.kind != "bike"]
-    return lanes, np.array([shapely.LineString(lane.centre_m) for lane in lanes], object)
+def _lines_for_cars(road: RoadMap) -> NDArray[Any]:
+    """The centre lines of `lanes_for_cars`."""
+    return np.array([shapely.LineString(one.centre_m) for one in lanes_for_cars(road).lanes])
 
 
-def _lane_at(road: RoadMap, place_m: Floats, heading_rad: float) -> tuple[Lane | None, float]:
+def _height_m(lane: Lane, along_m: Floats | float) -> Floats:
+    """Heights of a lane after so many metres along it."""
+    return np.asarray(np.interp(along_m, polylines.arc_lengths(lane.centre_m), lane.z_m), float)
+
+
+def _lane_at(
+    road: RoadMap, place_m: Floats, z_m: float, heading_rad: float
+) -> tuple[Lane | None, float]:
     """The lane, and how many metres along it the place is."""
-    lanes, lines = _driven_lanes(road)
-    point = shapely.Point(place_m)
-    apart = shapely.distance(lines, point)
-    found: list[tuple[bool, float, int]] = []
-    for number in np.flatnonzero(apart <= _OFF_M).tolist():
-        along = lines[number].project(point)
-        ends = shapely.line_interpolate_point(lines[number], [max(0.0, along - 1.0), along + 1.0])
-        way = np.diff(shapely.get_coordinates(ends), axis=0)[0]
-        turned = abs(float(frames.difference(np.arctan2(way[1], way[0]), heading_rad)))
-        found.append((turned > _TURNED_RAD, float(apart[number]), number))
-    if not found:
+    lanes = lanes_for_cars(road)
+    feet = lanes.feet(np.reshape(place_m, (1, 2)), _OFF_M)
+    feet = feet.among(np.hypot(*feet.away_m.T) <= _OFF_M)
+    if not len(feet.point):
         return None, 0.0
-    best = min(found)[2]
-    return lanes[best], float(lines[best].project(point))
+    feet = feet.among(on_nearest_level(feet.point, lanes.heights_m(feet), np.array(z_m)))
+    x, y = lanes.vector_m[feet.segment].T
+    turned = np.abs(frames.difference(np.arctan2(y, x), heading_rad)) > _TURNED_RAD
+    best = np.lexsort((np.hypot(*feet.away_m.T), turned))[0]
+    segment = int(feet.segment[best])
+    row = int(lanes.lane[segment])
+    passed_m = polylines.arc_lengths(lanes.line_m[row])[segment - int(lanes.first[row])]
+    return lanes.lanes[row], float(passed_m + feet.share[best] * np.hypot(x[best], y[best]))

@@ -17,7 +17,7 @@ from deepmf_sumo.results.failures import Failure, failure_of
 from deepmf_sumo.results.findings import tried
 from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import Result, attacked
-from deepmf_sumo.scene import Floats, RoadMap
+from deepmf_sumo.scene import RoadMap
 
 _LOG_LINES: Final = 40
 _FACTS: Final = (
@@ -135,8 +135,9 @@ def _failure(run: Run, road: RoadMap | None) -> tuple[Failure | None, str]:
 def _element(run: Run, road: RoadMap | None) -> str:
     if run.contact is None or road is None:
         return ""
-    pose: Floats = run.contact.pose_first
-    return element(road, pose[:2], float(pose[2]))
+    pose, tracks = run.contact.pose_first, run.rollout.tracks
+    z_m = tracks.z_m[tracks.row(run.contact.first_id), run.contact.step]
+    return element(road, pose[:2], float(z_m), float(pose[2]))
 
 
 def _made(result: Result | None) -> str:

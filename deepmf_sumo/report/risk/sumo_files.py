@@ -135,7 +135,7 @@ def areas(network: Network, row: PlaceRow) -> Iterator[shapely.Polygon]:
     if row.kind == "junction":
         shape_m = network.places.junctions[row.place].shape_m
         if len(shape_m) > 2:
-            yield shapely.Polygon(shape_m)
+            yield shapely.Polygon(shape_m[:, :2])
     for lane in lanes_of(network, row):
         width_m = _WAY_M if row.kind == "movement" else lane.width_m
         line = shapely.LineString(lane.shape_m[:, :2])

@@ -16,6 +16,7 @@ import shapely
 
 from deepmf_sumo.errors import SimulationError
 from deepmf_sumo.scene import Floats
+from deepmf_sumo.scene.geometry.ground import clear
 from deepmf_sumo.sumo.network.sumo_net import (
     TURNS,
     NetEdge,
@@ -124,9 +125,13 @@ class Places:
         return found
 
     @cached_property
-    def _outlines(self) -> list[tuple[str, shapely.Polygon]]:
-        drawn = [one for one in self.net.junctions if len(one.shape_m) > 2]
-        return [(one.id, shapely.Polygon(one.shape_m)) for one in drawn]
+    def _outlines(self) -> list[tuple[str, shapely.Polygon, float]]:
+        """Of junctions: id, outline and mean height."""
+        return [
+            (one.id, shapely.Polygon(one.shape_m[:, :2]), float(one.shape_m[:, 2].mean()))
+            for one in self.net.junctions
+            if len(one.shape_m) > 2
+        ]
 
     def spot(self, lane_id: str) -> Spot:
         """Where a lane is."""
@@ -138,10 +143,11 @@ class Places:
             return Spot(lane=lane_id, junction=edge[1:].rpartition("_")[0])
         return Spot(lane=lane_id, edge=edge)
 
-    def within(self, place_m: Floats) -> str:
-        """The junction whose outline contains a position (2,); empty where there is none."""
+    def within(self, place_m: Floats, z_m: float) -> str:
+        """The junction whose outline contains a position (2,), at its height; else empty."""
         point = shapely.Point(place_m)
-        return next((name for name, outline in self._outlines if outline.covers(point)), "")
+        inside = (one for one in self._outlines if one[1].covers(point))
+        return next((name for name, _, height in inside if not clear(height, z_m)), "")
 
     def in_junction(self, junction: str, movement: Movement | None) -> Spot:
         """Within a junction's outline, on no lane; with the movement, if it is of there."""

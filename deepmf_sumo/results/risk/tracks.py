@@ -79,8 +79,8 @@ class Spots:
         driven = found.tracks
         row = driven.row(agent_id)
         self._position_m, self._valid = driven.position_m[row], driven.valid[row]
-        heading, z_m = driven.heading_rad[row], driven.z_m[row]
-        matched = matching.match(road, self._position_m, heading, self._valid, z_m)
+        heading, self._z_m = driven.heading_rad[row], driven.z_m[row]
+        matched = matching.match(road, self._position_m, heading, self._valid, self._z_m)
         self._lanes, self.places, self._now = matched.lane_ids, every, found.now
         self.road = road
         route = moment.get("edge", ""), moment.get("following", "")
@@ -94,7 +94,7 @@ class Spots:
         lane = self._lanes[step]
         place_m: Floats = self._position_m[step]
         if lane is None:
-            junction = self.places.within(place_m)
+            junction = self.places.within(place_m, float(self._z_m[step]))
             return self.places.in_junction(junction, self._passed(step)) if junction else OFF
         return self._on_route(self.places.spot(lane), place_m)
 

@@ -25,9 +25,9 @@ _ROW: Final = 1 << 32
 """Cells of a column are numbered one after the other."""
 
 
-def clear(z_m: Floats, other_m: Floats) -> Bools:
+def clear(z_m: Floats | float, other_m: Floats | float) -> Bools:
     """(...) whether vehicles at these two heights pass above or below each other."""
-    return np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M
+    return np.asarray(np.abs(np.asarray(z_m, float) - other_m) >= CLEARANCE_M)
 
 
 def on_level(road: RoadMap, z_m: Floats | float, other_m: Floats | float) -> Bools:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from deepmf_sumo.scene import Bools, Floats, Polygon, RoadMap
 from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear, ground_of
 from deepmf_sumo.scene.geometry.lane_map import MARGIN_M, per_road
+from deepmf_sumo.scene.geometry.polylines import arc_lengths
 from deepmf_sumo.scene.geometry.road import all_lanes
 
 VERGE_M: Final = 2.0
@@ -31,20 +32,58 @@ _JOINT_M: Final = 0.1
 
 
 class _Areas:
-    """Polygons with their mean heights, and an index of them."""
+    """Polygons, and an index of them."""
 
     def __init__(self, polygons: tuple[Polygon, ...]) -> None:
-        known = [one for one in polygons if len(one.points_m) > 2]
-        rings = np.array([shapely.Polygon(one.points_m) for one in known], object)
-        self._z_m = np.array([float(one.z_m.mean()) for one in known])
+        self._known = [one for one in polygons if len(one.points_m) > 2]
+        rings = np.array([shapely.Polygon(one.points_m) for one in self._known], object)
         self._tree = shapely.STRtree(np.asarray(shapely.make_valid(rings), object))
 
     def near(self, points: NDArray[Any], reach_m: float, z_m: Floats | None) -> Bools:
-        """(N) whether points are within reach of an area, at heights (N) if these are given."""
+        """(N) whether points are within reach of an area, at heights (N) if these are given.
+
+        The height of an area at a point is that of the nearest place of its outline: sidewalks are
+        long, and may climb.
+        """
         found = np.zeros(len(points), bool)
         point, area = self._tree.query(points, predicate="dwithin", distance=reach_m)
+        if z_m is None:
+            found[point] = True
+            return found
+        for one in np.unique(area).tolist():
+            here = point[area == one]
+            ring = _closed(self._known[one].points_m)
+            along = shapely.line_locate_point(shapely.LineString(ring), points[here])
+            height = np.interp(along, arc_lengths(ring), _closed(self._known[one].z_m))
+            found[here[~clear(height, z_m[here])]] = True
+        return found
+
+
+def _closed(corners: Floats) -> Floats:
+    return np.concatenate([corners, corners[:1]])
+
+
+class _Edges:
+    """The straight parts of the edges of a road, and an index of them."""
+
+    def __init__(self, road: RoadMap) -> None:
+        lines = [np.column_stack([one.points_m, one.z_m]) for one in road.edges]
+        self._start = np.concatenate([np.empty((0, 3)), *(line[:-1] for line in lines)])
+        self._step = np.concatenate([np.empty((0, 3)), *(np.diff(line, axis=0) for line in lines)])
+        ends = np.stack([self._start, self._start + self._step], axis=1)[..., :2]
+        self._tree = shapely.STRtree(np.asarray(shapely.linestrings(ends)))
+
+    def near(self, points_m: Floats, reach_m: float, z_m: Floats | None) -> Bools:
+        """(N) whether points (N, 2) are within reach of an edge, at heights (N) if given."""
+        found = np.zeros(len(points_m), bool)
+        places = np.asarray(shapely.points(points_m))
+        point, edge = self._tree.query(places, predicate="dwithin", distance=reach_m)
         if z_m is not None:
-            point = point[~clear(self._z_m[area], z_m[point])]
+            start, step = self._start[edge], self._step[edge]
+            along = ((points_m[point] - start[:, :2]) * step[:, :2]).sum(axis=1)
+            square = np.maximum((step[:, :2] ** 2).sum(axis=1), 1e-12)
+            height = start[:, 2] + np.clip(along / square, 0.0, 1.0) * step[:, 2]
+            point = point[~clear(height, z_m[point])]
         found[point] = True
         return found
 
@@ -61,23 +100,7 @@ class Walkable:
         self._lanes, self._levels = all_lanes(road), ground_of(road).has_levels
         self._areas = _Areas((*road.polygons, *(road.footways or ())))
         self._buildings, self._water = _Areas(road.buildings), _Areas(road.water)
-        lines = [one.points_m for one in road.edges if len(one.points_m) > 1]
-        row = np.repeat(np.arange(len(lines)), [len(one) for one in lines])
-        points = np.concatenate([np.empty((0, 2)), *lines])
-        edges = np.asarray(shapely.linestrings(points, indices=row))
-        self._edges = shapely.STRtree(edges)
-        self._edge_z_m = self._heights_m(edges) if self._levels else np.zeros(len(edges))
-
-    def _heights_m(self, edges: NDArray[Any]) -> Floats:
-        """(N) of lanes beside edges; nan without. Outlines of junctions have no own heights."""
-        middles = shapely.get_coordinates(
-            shapely.line_interpolate_point(edges, 0.5, normalized=True)
-        )
-        feet = self._lanes.feet(middles, self.beside_m + self._lanes.widest_m)
-        order = np.argsort(-np.hypot(*feet.away_m.T), kind="stable")
-        found = np.full(len(edges), np.nan)
-        found[feet.point[order]] = self._lanes.heights_m(feet)[order]  # the nearest comes last
-        return found
+        self._edges = _Edges(road)
 
     def indoors(self, points_m: Floats) -> Bools:
         """(N) whether points (N, 2) are inside a building as it is drawn, on whatever ground."""
@@ -100,7 +123,9 @@ class Walkable:
         on_it, beside = self._by_lanes(points, z_m)
         on_it |= self._areas.near(places, _JOINT_M, z_m)
         rest = np.flatnonzero(~on_it)
-        beside[rest] |= self._by_edges(places[rest], None if z_m is None else z_m[rest])
+        beside[rest] |= self._edges.near(
+            points[rest], self.beside_m, z_m if z_m is None else z_m[rest]
+        )
         left = rest[beside[rest]]
         on_it[left] = ~self.barred(points[left])
         return on_it
@@ -121,14 +146,6 @@ class Walkable:
         beside[feet.point[level & (away <= self.beside_m)]] = True
         beside[feet.point[(above >= CLEARANCE_M) & (away <= 0)]] = False
         return on_it, beside
-
-    def _by_edges(self, places: NDArray[Any], z_m: Floats | None) -> Bools:
-        found = np.zeros(len(places), bool)
-        place, edge = self._edges.query(places, predicate="dwithin", distance=self.beside_m)
-        if z_m is not None:
-            place = place[np.abs(self._edge_z_m[edge] - z_m[place]) < CLEARANCE_M]
-        found[place] = True
-        return found
 
 
 @per_road

@@ -156,8 +156,7 @@ def _one_at(
 
 def _where_people_can_be(one: _Candidate, here: Roadside, case: TrafficCase) -> bool:
     points_m = one.position_m[None] if one.way_m is None else one.way_m
-    z_m = np.full(len(points_m), here.z_m[one.at])
-    return bool(walkable(case.road).holds(points_m, z_m).all())
+    return bool(walkable(case.road).holds(points_m, here.heights_m(points_m)).all())
 
 
 _WHERE: Final[dict[PersonPlace, str]] = {

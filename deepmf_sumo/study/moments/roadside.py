@@ -22,6 +22,7 @@ from deepmf_sumo.scene import (
     TrafficCase,
 )
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
+from deepmf_sumo.scene.geometry.ground import clear
 from deepmf_sumo.sumo.network.carriageway import carriageway_of, driven_on
 from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetFile, NetLane, elements, number, read_once
 from deepmf_sumo.sumo.simulation.sumo_config import read_configuration
@@ -84,9 +85,7 @@ class Roadside:
         front_m = along_m - tracks.size_m[row, 0] / 2
         arrives_s = np.interp(front_m, at_m[1:], (steps[gone] - now) * DT_S, left=-1.0)
         z_m = np.interp(along_m, at_m[1:], height[gone])
-        middle = (way_m.min(axis=0) + way_m.max(axis=0)) / 2
-        reach_m = float(np.hypot(*(way_m - middle).T).max()) + 2 * _FARTHEST_M
-        near = carriageway_of(case.net_file).near(middle, reach_m, float(z_m[len(z_m) // 2]))
+        near = carriageway_of(case.net_file).near(way_m, 2 * _FARTHEST_M, z_m)
         shapely.prepare(near)
         return cls(
             tracks=tracks,
@@ -106,6 +105,15 @@ class Roadside:
         step /= np.maximum(np.hypot(*step.T), 1e-9)[:, None]
         return np.column_stack([-step[:, 1], step[:, 0]])
 
+    def meets(self, line_m: Floats) -> bool:
+        """Whether a line (P, 3) is at the way's height where the two are nearest."""
+        line = shapely.LineString(line_m[:, :2])
+        nearest = shapely.shortest_line(shapely.LineString(self.way_m), line)
+        on_way, on_line = shapely.get_coordinates(nearest)
+        along = line.project(shapely.Point(on_line))
+        height = np.interp(along, polylines.arc_lengths(line_m[:, :2]), line_m[:, 2])
+        return not clear(height, self.z_m[self.reached(on_way)[0]])
+
     @property
     def outer(self) -> Side:
         """The side of the kerb."""
@@ -116,6 +124,11 @@ class Roadside:
         away = np.hypot(*(self.way_m - place_m).T)
         at = int(away.argmin())
         return at, float(away[at])
+
+    def heights_m(self, points_m: Floats) -> Floats:
+        """(N) of the way where it is nearest to points (N, 2)."""
+        away = np.hypot(*np.moveaxis(np.asarray(points_m)[:, None] - self.way_m, -1, 0))
+        return np.asarray(self.z_m[away.argmin(axis=1)], float)
 
     def kept(self, half_m: float, gap_m: float = GAP_M[0]) -> BaseGeometry:
         """Where the centre of a box that wide cannot be beside the carriageway."""
@@ -142,16 +155,13 @@ class Roadside:
     @cached_property
     def inside(self) -> Bools:
         """(P) whether the way is in a junction there."""
-        shapes = [one.shape_m for one in self.net.junctions if len(one.shape_m) > 2]
-        low, high = self.way_m.min(axis=0), self.way_m.max(axis=0)
-        near = [
-            shapely.Polygon(ring)
-            for ring in shapes
-            if (ring.max(axis=0) > low).all() and (ring.min(axis=0) < high).all()
-        ]
         found = np.zeros(len(self.way_m), bool)
-        for ring in near:
-            found |= shapely.contains_xy(shapely.buffer(ring, 0.0), *self.way_m.T)
+        low, high = self.way_m.min(axis=0), self.way_m.max(axis=0)
+        for one in self.net.junctions:
+            ring, z_m = one.shape_m[:, :2], one.shape_m[:, 2]
+            if len(ring) > 2 and (ring.max(axis=0) > low).all() and (ring.min(axis=0) < high).all():
+                area = shapely.buffer(shapely.Polygon(ring), 0.0)
+                found |= shapely.contains_xy(area, *self.way_m.T) & ~clear(self.z_m, z_m.mean())
         return found
 
     @cached_property
@@ -174,7 +184,7 @@ class Roadside:
 
     @cached_property
     def lanes_near(self) -> list[tuple[NetEdge, NetLane]]:
-        """Driven lanes outside junctions within reach of the way."""
+        """Driven lanes outside junctions within reach of the way, and on its level."""
         low, high = self.way_m.min(axis=0) - _FARTHEST_M, self.way_m.max(axis=0) + _FARTHEST_M
         return [
             (edge, lane)
@@ -185,6 +195,7 @@ class Roadside:
             and (lane.shape_m[:, :2].max(axis=0) > low).all()
             and (lane.shape_m[:, :2].min(axis=0) < high).all()
             and driven_on(lane)
+            and self.meets(lane.shape_m)
         ]
 
     def free(self, poses: Floats, size_m: Sequence[float], others: dict[AgentId, Floats]) -> bool:
@@ -197,6 +208,7 @@ class Roadside:
         """
         tracks, grown = self.tracks, np.array(size_m[:2]) + 2 * _CLEAR_M
         near = np.hypot(*np.moveaxis(tracks.position_m - poses[:, :2], -1, 0)) < 25.0
+        near &= ~clear(tracks.z_m, self.heights_m(poses[:, :2]))
         rows, steps = np.nonzero(near & tracks.valid)
         hit = boxes.overlap(
             poses[steps, :2],
@@ -215,7 +227,8 @@ def crossings(here: Roadside) -> Iterator[Floats]:
     way = shapely.LineString(here.way_m)
     for edge in here.net.edges.values():
         for lane in edge.lanes if edge.function == "crossing" else ():
-            if len(lane.shape_m) > 1 and shapely.LineString(lane.shape_m[:, :2]).intersects(way):
+            line = shapely.LineString(lane.shape_m[:, :2]) if len(lane.shape_m) > 1 else None
+            if line is not None and line.intersects(way) and here.meets(lane.shape_m):
                 yield lane.shape_m[:, :2]
 
 
@@ -280,6 +293,8 @@ def parked(here: Roadside) -> list[_Parked]:
             continue
         place = tracks.position_m[row, here.now]
         at, away_m = here.reached(place)
+        if clear(tracks.z_m[row, here.now], here.z_m[at]):
+            continue
         arrives = here.now + int(max(here.arrives_s[at], 0.0) / DT_S)
         stands = tracks.speed_mps[row, : arrives + 1].max() < _STANDS_MPS
         left_m = float((place - here.way_m[at]) @ here.normal[at])

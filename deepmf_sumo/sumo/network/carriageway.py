@@ -4,6 +4,9 @@ Lanes for vehicles, bicycles and trains with their widths, and the outlines of j
 walking areas. Footways, and strips that are closed to all, are no part of it.
 """
 
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +16,8 @@ from shapely.geometry.base import BaseGeometry
 
 from deepmf_sumo import files
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear
+from deepmf_sumo.scene.geometry.polylines import arc_lengths
 from deepmf_sumo.sumo.network.sumo_net import (
     ON_FOOT,
     RAIL_VEHICLES,
@@ -41,10 +45,7 @@ def driver_of(lane: NetLane) -> str:
 
 
 class Carriageway:
-    """The areas of a network on which vehicles drive.
-
-    A junction without heights of its own is at that of the nearest lane.
-    """
+    """The areas of a network on which vehicles drive, each at its height."""
 
     def __init__(self, net: NetFile) -> None:
         lanes = [
@@ -54,48 +55,66 @@ class Carriageway:
             for lane in edge.lanes
             if len(lane.shape_m) > 1 and driven_on(lane)
         ]
-        areas = [lane.area() for lane in lanes]
-        heights = [float(lane.shape_m[:, 2].mean()) for lane in lanes]
-        outlines = (shapely.buffer(shapely.Polygon(ring), 0.0) for ring in roadways(net))
-        rings = [one for one in outlines if not one.is_empty]  # dead ends may have none
-        tree = shapely.STRtree(np.array(areas, object)) if areas else None
-        for ring in rings:
-            near = None if tree is None else tree.nearest(ring)
-            heights.append(heights[int(near)] if near is not None else 0.0)
-        self._lanes, self._lane_tree = lanes, tree
-        self._areas = np.array([*areas, *rings], object)
-        self._z_m = np.array(heights)
+        parts = [part for lane in lanes for part in _parts(lane)]
+        outlines = [
+            (shapely.buffer(shapely.Polygon(ring[:, :2]), 0.0), float(ring[:, 2].mean()))
+            for ring in roadways(net)
+        ]  # dead ends may have none
+        known = [*parts, *(one for one in outlines if not one[0].is_empty)]
+        self._lanes = lanes
+        self._lane_tree = shapely.STRtree(np.array([lane.area() for lane in lanes], object))
+        self._areas = np.array([area for area, _ in known], object)
+        self._z_m = np.array([z_m for _, z_m in known])
         self._tree = shapely.STRtree(self._areas)
 
-    def near(self, position_m: Floats, reach_m: float, z_m: float = 0.0) -> BaseGeometry:
-        """The union of what is within reach of a position (2,), and on its level."""
-        place = shapely.Point(*np.asarray(position_m, float))
-        rows = np.sort(self._tree.query(place, predicate="dwithin", distance=reach_m))
-        rows = rows[~clear(self._z_m[rows], np.array(z_m))]
+    def near(self, way_m: Floats, reach_m: float, z_m: Floats) -> BaseGeometry:
+        """The union of what is within reach of a way (P, 2), and at the way's heights (P) there."""
+        way = shapely.LineString(way_m) if len(way_m) > 1 else shapely.Point(way_m[0])
+        rows = np.sort(self._tree.query(way, predicate="dwithin", distance=reach_m))
+        ends = shapely.get_coordinates(shapely.shortest_line(way, self._areas[rows]))[::2]
+        beside = np.hypot(*np.moveaxis(ends[:, None] - way_m, -1, 0)).argmin(axis=1)
+        rows = rows[~clear(self._z_m[rows], np.asarray(z_m, float)[beside])]
         return shapely.union_all(self._areas[rows])
 
-    def lane_at(self, position_m: Floats, *, road: bool = False) -> NetLane | None:
+    def lane_at(self, position_m: Floats, z_m: float, *, road: bool = False) -> NetLane | None:
         """The nearest lane that is driven on; None in a network without any.
 
-        ``road``: outside junctions.
+        A lane at the position's height comes before one above or below. ``road``: outside
+        junctions.
         """
-        if self._lane_tree is None:
-            return None
-        place = shapely.Point(*np.asarray(position_m, float))
+        place, found = shapely.Point(*np.asarray(position_m, float)), None
         for reach_m in _REACHES_M:
             rows = self._lane_tree.query(place, predicate="dwithin", distance=reach_m)
             near = [self._lanes[row] for row in rows if not (road and _inside(self._lanes[row]))]
-            if near:
-                return min(near, key=lambda lane: (_away_m(lane, place), lane.id))
-        return None
+            feet = [(*_foot(lane, place, z_m), lane.id, lane) for lane in near]
+            found = min(feet, default=None, key=lambda one: one[:3])
+            if found is not None and not found[0]:
+                return found[-1]
+        return found[-1] if found else None
+
+
+def _parts(lane: NetLane) -> Iterator[tuple[BaseGeometry, float]]:
+    """Areas of a lane, with heights that are nowhere wrong by more than a quarter of a storey."""
+    climbs_m = float(np.abs(np.diff(lane.shape_m[:, 2])).sum())
+    length = arc_lengths(lane.shape_m[:, :2])
+    ends = np.linspace(0.0, length[-1], 1 + max(1, int(np.ceil(2 * climbs_m / CLEARANCE_M))))
+    for begin, end in pairwise(ends):
+        inner = lane.shape_m[(length > begin) & (length < end)]
+        xyz = [[np.interp(at, length, axis) for axis in lane.shape_m.T] for at in (begin, end)]
+        part = replace(lane, shape_m=np.vstack([xyz[0], inner, xyz[1]]))
+        yield part.area(), (xyz[0][2] + xyz[1][2]) / 2
 
 
 def _inside(lane: NetLane) -> bool:
     return lane.id.startswith(":")
 
 
-def _away_m(lane: NetLane, place: BaseGeometry) -> float:
-    return float(shapely.distance(shapely.LineString(lane.shape_m[:, :2]), place))
+def _foot(lane: NetLane, place: shapely.Point, z_m: float) -> tuple[bool, float]:
+    """Whether the lane passes over or under a place, and how far from it."""
+    line = shapely.LineString(lane.shape_m[:, :2])
+    along = float(shapely.line_locate_point(line, place))
+    height = np.interp(along, arc_lengths(lane.shape_m[:, :2]), lane.shape_m[:, 2])
+    return bool(clear(height, np.array(z_m))), float(shapely.distance(line, place))
 
 
 @files.while_unchanged(2)

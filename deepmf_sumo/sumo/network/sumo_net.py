@@ -147,7 +147,7 @@ class NetLink:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetJunction:
-    """A ``<junction>`` with its outline (P, 2).
+    """A ``<junction>`` with its outline (P, 3), z = 0 where the net is flat.
 
     Attributes:
         inner_lanes: lanes inside, one per connection over the junction: the last one of those that
@@ -351,7 +351,7 @@ def _junction(element: ET.Element) -> NetJunction:
     return NetJunction(
         id=element.get("id", ""),
         type=element.get("type", ""),
-        shape_m=points(element.get("shape", ""))[:, :2],
+        shape_m=points(element.get("shape", "")),
         inner_lanes=tuple(element.get("intLanes", "").split()),
         goes_first=tuple(_rows(one.get("response", "")) for one in requests),
         incoming=tuple(element.get("incLanes", "").split()),

@@ -105,21 +105,21 @@ def _junction_edges(net: NetFile, roads: list[NetEdge], drivable: set[str]) -> l
         ring = _roadway(junction.shape_m, areas)
         if len(ring) > 2:
             following = np.roll(ring, -1, axis=0)
-            long = np.hypot(*(following - ring).T) > 0.1
+            long = np.hypot(*(following - ring)[:, :2].T) > 0.1
             sides += list(np.stack([ring, following], axis=1)[long])
             names += [f"{junction.id}:{side}" for side in np.flatnonzero(long)]
             doubtful += [bool(areas)] * int(long.sum())
     ends = [lane.shape_m[[0, -1], :2] for edge in roads for lane in edge.lanes if len(lane.shape_m)]
     if not sides or not ends:
         return []
-    segments = np.asarray(shapely.linestrings(np.array(sides)))
+    segments = np.asarray(shapely.linestrings(np.array(sides)[..., :2]))
     tree = shapely.STRtree(np.asarray(shapely.points(np.concatenate(ends))))
     mouths = set(tree.query(segments, predicate="dwithin", distance=MOUTH_M)[0].tolist())
     pavement = set(np.flatnonzero(doubtful).tolist()) - _beside_lanes(
         net, drivable, walking, segments
     )
     return [
-        Polyline(id=names[index], kind=BOUNDARY, points_m=side, z_m=np.zeros(2))
+        Polyline(id=names[index], kind=BOUNDARY, points_m=side[:, :2], z_m=side[:, 2])
         for index, side in enumerate(sides)
         if index not in mouths and index not in pavement
     ]
@@ -143,7 +143,7 @@ def _beside_lanes(
 
 
 def roadways(net: NetFile) -> list[Floats]:
-    """Outlines (N, 2) of all junctions without their walking areas, N >= 3."""
+    """Outlines (N, 3) of all junctions without their walking areas, N >= 3."""
     walking = _walking_areas(net)
     rings = (_roadway(one.shape_m, walking.get(one.id, [])) for one in net.junctions)
     return [ring for ring in rings if len(ring) > 2]
@@ -165,19 +165,21 @@ def _junction_of(edge: NetEdge) -> str:
 
 
 def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
-    """(N, 2) outline of a junction without its walking areas."""
+    """(N, 3) outline of a junction without its walking areas."""
     if len(ring_m) < 3 or not walking_m:
         return ring_m
     # buffers make them valid: SUMO's outlines may cross themselves
     row = np.repeat(np.arange(len(walking_m)), [len(one) for one in walking_m])
     areas = shapely.polygons(shapely.linearrings(np.concatenate(walking_m), indices=row))
     away = shapely.union_all(shapely.buffer(areas, 0.05, quad_segs=1))
-    left = shapely.difference(shapely.buffer(shapely.Polygon(ring_m), 0.0), away)
+    left = shapely.difference(shapely.buffer(shapely.Polygon(ring_m[:, :2]), 0.0), away)
     parts = shapely.get_parts(left)
     if not len(parts):
         return ring_m
     outline = shapely.get_exterior_ring(max(parts, key=shapely.area))
-    return shapely.get_coordinates(outline)[:-1]
+    corners = shapely.get_coordinates(outline)[:-1]
+    nearest = np.hypot(*np.moveaxis(corners[:, None] - ring_m[:, :2], -1, 0)).argmin(axis=1)
+    return np.column_stack([corners, ring_m[nearest, 2]])
 
 
 _FREEWAY_MPS: Final = 24.0

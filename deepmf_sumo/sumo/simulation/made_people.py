@@ -106,7 +106,7 @@ class WayOff(Walk):
         stop_m = pose.speed_mps**2 / (2 * limits.brake)
         comes_to = here + stop_m * frames.unit(np.array(pose.heading_rad))
         away_m = BESIDE_M + max(user.size_m[:2]) / 2
-        kept = shapely.buffer(roads.near(here, _REACH_M, pose.z_m), away_m)
+        kept = shapely.buffer(roads.near(here[None], _REACH_M, np.array([pose.z_m])), away_m)
         super().__init__(pose, limits, _beside(comes_to, kept, pose.z_m, walkable(road)))
 
 
@@ -161,7 +161,7 @@ class MadePeople:
         api, routes = self._api, set[str]()
         for name, one in self._made.items():
             pose = without_attack(one, time_s)
-            lane = self._roads().lane_at(_place(pose), road=True)
+            lane = self._roads().lane_at(_place(pose), pose.z_m, road=True)
             if lane is None:
                 raise SimulationError("Nobody can be made on a network without a road.")
             route = f"{MADE_TYPE}{lane.edge}"
@@ -179,7 +179,7 @@ class MadePeople:
         vehicle = self._api.vehicle
         if agent not in self._made or agent not in vehicle.getIDList():
             return
-        lane = self._roads().lane_at(_place(pose))
+        lane = self._roads().lane_at(_place(pose), pose.z_m)
         if lane is not None:
             permission = driver_of(lane)
             if vehicle.getVehicleClass(agent) != permission:

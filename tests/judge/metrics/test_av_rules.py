@@ -298,6 +298,11 @@ def test_what_is_on_another_level_changes_nothing(name, drive):
     assert on_decks(name, av, 0.0, BOTH, over) == on_decks(name, av, 0.0, flat, {})
 
 
+def test_who_walks_on_a_deck_above_a_crossing_is_not_on_it():
+    walks = {"walks over": (BELOW["walks"][0], 8.0)}
+    assert on_decks("av_crossing_taken", DRIVES["on"], 8.0, BOTH, walks)[0] == 0.0
+
+
 def test_without_heights_the_light_and_the_crossing_below_would_count():
     assert on_decks("av_red_run", DRIVES["on"], 0.0, BOTH, BELOW)[0] == 1.0
     assert on_decks("av_crossing_taken", DRIVES["on"], 0.0, BOTH, BELOW)[0] == 1.0

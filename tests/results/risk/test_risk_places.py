@@ -41,8 +41,9 @@ def test_every_lane_is_on_an_edge_or_a_movement_never_on_both(four_way):
 
 
 def test_within_a_junction(four_way):
-    assert four_way.within(np.array([0.0, 0.0])) == "centre"
-    assert four_way.within(np.array([100.0, 100.0])) == ""
+    assert four_way.within(np.array([0.0, 0.0]), 0.0) == "centre"
+    assert four_way.within(np.array([0.0, 0.0]), 6.0) == ""  # above it
+    assert four_way.within(np.array([100.0, 100.0]), 0.0) == ""
     left = four_way.movement("w_in", "n_out")
     assert four_way.in_junction("centre", left).movement == left.id
     assert four_way.in_junction("n_pocket", left).movement == ""

@@ -67,3 +67,19 @@ def test_beside_a_bridge_is_air():
     assert holds(levels, (0, 0), (1.5, 0), (3, 0), (3, 20), z_m=8.0) == [True, True, False, True]
     assert holds(levels, (0, 0), (3, 0), (20, 3), (0, 20), z_m=0.1) == [True, True, True, False]
     assert holds(levels, (0, 20)) == [True]  # no height is asked for
+
+
+def test_sidewalks_and_edges_climb_with_the_road():
+    """A person at the foot of a long slope is on its sidewalk, and beside its edge; not above."""
+    strip = area("footway", (100, 100), (500, 103))
+    strip = replace(strip, z_m=strip.points_m[:, 0] / 10 - 10)
+    levels = replace(CROSSING, footways=(strip,))
+    for x in (105.0, 300.0, 495.0):
+        assert holds(levels, (x, 101.5), z_m=x / 10 - 10 + 0.3) == [True]
+        assert holds(levels, (x, 101.5), z_m=x / 10 - 10 + 4.0) == [False]
+    kerb = np.array([(100.0, 100.0), (500.0, 100.0)])
+    edge = Polyline(id="e", kind=1, points_m=kerb, z_m=np.array([0.0, 40.0]))
+    recorded = replace(CROSSING, footways=None, edges=(edge,))
+    for x in (105.0, 300.0, 495.0):
+        assert holds(recorded, (x, 105.0), z_m=x / 10 - 10 + 0.3) == [True]
+        assert holds(recorded, (x, 105.0), z_m=x / 10 - 10 + 4.0) == [False]

@@ -10,10 +10,10 @@ import sumolib
 from deepmf_sumo.planners import sumo
 from deepmf_sumo.scene.geometry import boxes
 from deepmf_sumo.spec import WantedPeople
-from deepmf_sumo.study.moments import made_people
+from deepmf_sumo.study.moments import made_people, roadside
 from deepmf_sumo.sumo.simulation import network_case, plain, simulate
 
-from tests.support import tiny_network
+from tests.support import hills, tiny_network
 from tests.support.made_walkers import StepsOut
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -154,6 +154,32 @@ def test_on_networks_of_others_all_of_them_walk_onto_the_road_and_back(config, s
         walk = StepsOut(one.id, one.heading_rad, far_m=5.0)
         found = simulate(_with(case, made), driver, walk, rng=rng())
         assert found.tracks.steps > 11
+
+
+def test_on_a_slope_nobody_stands_on_the_road(tmp_path, starts_sumo):
+    """Heights of lanes are not those of their middles: the AV starts 18 m below it."""
+    config = hills.slope(tmp_path)
+    case, rollout = situation(config, 1.0, "av")
+    lanes = lane_areas(config)
+    made = made_people.drawn(case, WantedPeople(count=6), rollout, rng()).made
+    assert {"kerb", "cyclist"} == {one.place for one in made}
+    for one, box in zip(made, boxes_of(made), strict=True):
+        assert 0.05 < lanes.distance(box) < 1.2
+        assert one.z_m == pytest.approx(hills.SLOPE * one.position_m[0], abs=0.3)
+
+
+def test_what_is_on_another_storey_is_not_beside_the_way(tmp_path, starts_sumo):
+    config = hills.storeys(tmp_path)
+    found = {}
+    for storey in ("above", "below"):
+        case = network_case(config, 6.0, storey, 600, seed=0)  # that below waits for its light
+        here = roadside.Roadside.of(case, plain(case))
+        stands, lights = roadside.parked(here), roadside.stop_lines(here)
+        crossed = list(roadside.crossings(here))
+        edges = {edge.id for edge, _ in here.lanes_near}
+        found[storey] = len(stands), len(lights), len(crossed), here.inside.any(), edges
+    assert found["above"] == (0, 0, 0, False, {"deck"})
+    assert found["below"] == (1, 1, 1, True, {"in", "out", "south", "north"})
 
 
 def test_a_spec_puts_people_where_it_wants(tmp_path, starts_sumo):

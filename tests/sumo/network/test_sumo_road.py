@@ -113,6 +113,25 @@ def test_corners_of_pavements_are_not_road_edges(grid):
     assert max(one.centroid.distance(lanes) for one in edges) < 3.0
 
 
+def test_a_network_eight_metres_up_is_the_same_eight_metres_up(grid, tmp_path):
+    up = tmp_path / "up.net.xml"
+    sumo_tools.run("netconvert", "-s", str(grid), "--offset.z", "8", "-o", str(up))
+    low, high = road_of_net(grid), road_of_net(up)
+
+    def lines(road):
+        return [
+            *(np.column_stack([one.centre_m, one.z_m]) for one in road.lanes.values()),
+            *(np.column_stack([one.points_m, one.z_m]) for one in (*road.lines, *road.edges)),
+            *(np.column_stack([one.points_m, one.z_m]) for one in road.polygons),
+            *(np.column_stack([one.points_m, one.z_m]) for one in road.footways),
+            *(one.position_m[None] for one in road.stop_signs),
+        ]
+
+    assert len(lines(low)) == len(lines(high)) > 100
+    for one, raised in zip(lines(low), lines(high), strict=True):
+        np.testing.assert_allclose(raised, one + np.array([0.0, 0.0, 8.0]), atol=0.02)
+
+
 def test_lights_are_those_of_the_lane_behind_them(grid):
     import xml.etree.ElementTree as ET
 
