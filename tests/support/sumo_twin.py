@@ -10,7 +10,9 @@ import numpy as np
 from deepmf_sumo.sumo.network.sumo_road import road_of_net, signal_links
 from deepmf_sumo.sumo.simulation.observation import LiveSignals
 
-CLASSES = ("passenger", "truck", "bus", "taxi", "delivery", "motorcycle", "emergency")
+CLASSES = ("private", "emergency", "authority", "army", "vip", "passenger", "hov", "taxi", "bus",
+           "coach", "delivery", "truck", "trailer", "motorcycle", "moped", "evehicle")  # fmt: skip
+"""Of SUMO's classes those of vehicles on roads."""
 LETTERS = {
     **dict.fromkeys("ru", "STOP"),
     **dict.fromkeys("yY", "CAUTION"),
