@@ -24,7 +24,7 @@ class Road:
     """A world in which the AV drives 1 m a step, and another vehicle beside it as it is told."""
 
     def __init__(self, gone_after=1000):
-        self.events = [Event(step=NOW + 2, agent_id="av", kind="noted")]
+        self.events = [Event(step=NOW + 2, agent_id="av", kind="lane_lost")]
         self.av = SimpleNamespace(present=True, leaders=("other",), path=lambda: None)
         self.next_owner = Owner()
         self.steps = 0
@@ -105,7 +105,7 @@ def test_time_ends_an_episode_without_a_contact():
     assert (rollout.ended, world.steps, rollout.now) == ("time", 20, NOW)
     assert rollout.tracks.steps == HISTORY_STEPS + 20
     assert rollout.leaders == (("other",),) * 20
-    assert [event.kind for event in rollout.events] == ["noted"]
+    assert [event.kind for event in rollout.events] == ["lane_lost"]
     assert set(rollout.seconds) == {"policy", "planner", "simulation"}
 
 
