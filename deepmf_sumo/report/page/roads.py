@@ -175,24 +175,21 @@ def _crossings(road: RoadMap, lane: Lane) -> Floats:
     line = shapely.LineString(lane.centre_m)
     rows = np.flatnonzero(shapely.crosses(line, lines))
     met, of = shapely.get_coordinates(shapely.intersection(line, lines[rows]), return_index=True)
-    points = np.asarray(shapely.points(met))
-    along = np.asarray(shapely.line_locate_point(line, points), float)
+    along = np.asarray(shapely.line_locate_point(line, shapely.points(met)), float)
     over = [
-        _height_m(others[row], float(shapely.line_locate_point(lines[row], point)))
-        for row, point in zip(rows[of], points, strict=True)
+        float(polylines.heights_at(others[row].centre_m, others[row].z_m, place))
+        for row, place in zip(rows[of], met, strict=True)
     ]
-    return along[on_level(road, _height_m(lane, along), np.array(over))]
+    z_m = polylines.heights_at(lane.centre_m, lane.z_m, met)
+    return along[on_level(road, z_m, np.array(over))]
 
 
 @per_road
 def _lines_for_cars(road: RoadMap) -> NDArray[Any]:
     """The centre lines of `lanes_for_cars`."""
-    return np.array([shapely.LineString(one.centre_m) for one in lanes_for_cars(road).lanes])
-
-
-def _height_m(lane: Lane, along_m: Floats | float) -> Floats:
-    """Heights of a lane after so many metres along it."""
-    return np.asarray(np.interp(along_m, polylines.arc_lengths(lane.centre_m), lane.z_m), float)
+    return np.array(
+        [shapely.LineString(one.centre_m) for one in lanes_for_cars(road).lanes], object
+    )
 
 
 def _lane_at(

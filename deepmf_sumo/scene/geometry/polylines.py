@@ -79,6 +79,12 @@ def project(points_m: Floats, query_m: Floats) -> Projection:
     )
 
 
+def heights_at(points_m: Floats, z_m: Floats, query_m: Floats) -> Floats:
+    """(...) heights of a polyline (P, 2), (P), P >= 2, where it is nearest to queries (..., 2)."""
+    along = project(points_m, query_m).along_m
+    return np.asarray(np.interp(along, arc_lengths(points_m), z_m), float)
+
+
 def resample(points_m: Floats, spacing_m: float) -> Floats:
     """Points at equal distances of at most ``spacing_m``, both ends kept."""
     length = arc_lengths(points_m)[-1]

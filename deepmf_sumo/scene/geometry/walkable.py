@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from deepmf_sumo.scene import Bools, Floats, Polygon, RoadMap
 from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear, ground_of
 from deepmf_sumo.scene.geometry.lane_map import MARGIN_M, per_road
-from deepmf_sumo.scene.geometry.polylines import arc_lengths
+from deepmf_sumo.scene.geometry.polylines import heights_at
 from deepmf_sumo.scene.geometry.road import all_lanes
 
 VERGE_M: Final = 2.0
@@ -52,9 +52,10 @@ class _Areas:
             return found
         for one in np.unique(area).tolist():
             here = point[area == one]
-            ring = _closed(self._known[one].points_m)
-            along = shapely.line_locate_point(shapely.LineString(ring), points[here])
-            height = np.interp(along, arc_lengths(ring), _closed(self._known[one].z_m))
+            corners, z = (
+                _closed(part) for part in (self._known[one].points_m, self._known[one].z_m)
+            )
+            height = heights_at(corners, z, shapely.get_coordinates(points[here]))
             found[here[~clear(height, z_m[here])]] = True
         return found
 

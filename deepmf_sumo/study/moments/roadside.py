@@ -110,8 +110,7 @@ class Roadside:
         line = shapely.LineString(line_m[:, :2])
         nearest = shapely.shortest_line(shapely.LineString(self.way_m), line)
         on_way, on_line = shapely.get_coordinates(nearest)
-        along = line.project(shapely.Point(on_line))
-        height = np.interp(along, polylines.arc_lengths(line_m[:, :2]), line_m[:, 2])
+        height = polylines.heights_at(line_m[:, :2], line_m[:, 2], on_line)
         return not clear(height, self.z_m[self.reached(on_way)[0]])
 
     @property

@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from deepmf_sumo import files
 from deepmf_sumo.scene import Floats
 from deepmf_sumo.scene.geometry.ground import CLEARANCE_M, clear
-from deepmf_sumo.scene.geometry.polylines import arc_lengths
+from deepmf_sumo.scene.geometry.polylines import arc_lengths, heights_at
 from deepmf_sumo.sumo.network.sumo_net import (
     ON_FOOT,
     RAIL_VEHICLES,
@@ -88,16 +88,18 @@ class Carriageway:
             near = [self._lanes[row] for row in rows if not (road and _inside(self._lanes[row]))]
             feet = [(*_foot(lane, place, z_m), lane.id, lane) for lane in near]
             found = min(feet, default=None, key=lambda one: one[:3])
-            if found is not None and not found[0]:
+            if found is not None and not (found[0] and reach_m == _REACHES_M[0]):
                 return found[-1]
         return found[-1] if found else None
 
 
 def _parts(lane: NetLane) -> Iterator[tuple[BaseGeometry, float]]:
     """Areas of a lane, with heights that are nowhere wrong by more than a quarter of a storey."""
-    climbs_m = float(np.abs(np.diff(lane.shape_m[:, 2])).sum())
+    climb = np.append(0.0, np.cumsum(np.abs(np.diff(lane.shape_m[:, 2]))))
     length = arc_lengths(lane.shape_m[:, :2])
-    ends = np.linspace(0.0, length[-1], 1 + max(1, int(np.ceil(2 * climbs_m / CLEARANCE_M))))
+    count = max(1, int(np.ceil(2 * climb[-1] / CLEARANCE_M)))
+    ends = np.interp(np.linspace(0.0, climb[-1], 1 + count), climb, length)
+    ends[0], ends[-1] = 0.0, length[-1]  # of what is flat, too
     for begin, end in pairwise(ends):
         inner = lane.shape_m[(length > begin) & (length < end)]
         xyz = [[np.interp(at, length, axis) for axis in lane.shape_m.T] for at in (begin, end)]
@@ -111,10 +113,9 @@ def _inside(lane: NetLane) -> bool:
 
 def _foot(lane: NetLane, place: shapely.Point, z_m: float) -> tuple[bool, float]:
     """Whether the lane passes over or under a place, and how far from it."""
-    line = shapely.LineString(lane.shape_m[:, :2])
-    along = float(shapely.line_locate_point(line, place))
-    height = np.interp(along, arc_lengths(lane.shape_m[:, :2]), lane.shape_m[:, 2])
-    return bool(clear(height, np.array(z_m))), float(shapely.distance(line, place))
+    line_m, heights_m = lane.shape_m[:, :2], lane.shape_m[:, 2]
+    height = heights_at(line_m, heights_m, np.array([place.x, place.y]))
+    return bool(clear(height, z_m)), float(shapely.distance(shapely.LineString(line_m), place))
 
 
 @files.while_unchanged(2)
