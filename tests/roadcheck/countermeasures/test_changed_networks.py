@@ -30,14 +30,25 @@ changes:
 """
 
 
+CHANGED = ("merge3", "signal5", "signal6", "left1", "stop1", "stop8")
+
+
 @pytest.fixture(scope="module")
 def hazards(tmp_path_factory, starts_sumo):
-    """Forty places, of which four are flawed."""
+    """Those of the forty places that the tests change."""
     file = ROOT / "studies" / "hazards" / "build.py"
     spec = importlib.util.spec_from_file_location("hazards_to_change", file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    some = [place for place in module.places() if place.name in CHANGED]
+    module.places = lambda: some
     return module.build(tmp_path_factory.mktemp("hazards"))
+
+
+@pytest.fixture(scope="module")
+def changed(hazards, tmp_path_factory):
+    """The network with CHANGES."""
+    return built(hazards, CHANGES, tmp_path_factory.mktemp("changed"))
 
 
 def built(config, text, folder):
@@ -65,18 +76,18 @@ def runs_in_sumo(config):
     return done.returncode == 0
 
 
-def test_programs_and_limits_change_and_nothing_else(hazards, tmp_path):
-    found = built(hazards, CHANGES, tmp_path)
+def test_programs_and_limits_change_and_nothing_else(hazards, changed):
+    found = changed
     assert found.before == hazards
     after = read_configuration(found.after).net
     assert cycle(after, "signal6") == "10:GGrr 3:yyrr 2:rrrr 10:rrGG 3:rryy 2:rrrr"
     assert cycle(after, "left1") == "10:GGr 5:yyr 2:rrr 8:rrG 5:rry 2:rrr"
     assert net(found.after).getEdge("stop8_west_in").getSpeed() == pytest.approx(50 / 3.6, abs=0.01)
-    given, changed = (elements(read_configuration(one).net) for one in (hazards, found.after))
-    assert {one for one in given ^ changed if one[0] != "phase"} == {
-        one for one in given ^ changed if ("id", "stop8_west_in_0") in one[1]
+    old, new = (elements(read_configuration(one).net) for one in (hazards, found.after))
+    assert {one for one in old ^ new if one[0] != "phase"} == {
+        one for one in old ^ new if ("id", "stop8_west_in_0") in one[1]
     }
-    assert len(given - changed) < 10
+    assert len(old - new) < 10
     assert found.junctions == ("left1_mid", "signal6_mid")
     assert found.edges == ("stop8_west_in",)
     assert runs_in_sumo(found.after)
@@ -119,13 +130,12 @@ def elements(file):
     return {(one.tag, tuple(sorted(one.attrib.items()))) for one in ET.parse(file).iter()}
 
 
-def test_netconvert_makes_the_same_of_the_patch(hazards, tmp_path):
-    found = built(hazards, CHANGES, tmp_path)
-    patches = ["-i", found.patch / "patch.tll.xml", "-e", found.patch / "patch.edg.xml"]
+def test_netconvert_makes_the_same_of_the_patch(hazards, changed, tmp_path):
+    patches = ["-i", changed.patch / "patch.tll.xml", "-e", changed.patch / "patch.edg.xml"]
     patched = tmp_path / "patched.net.xml"
     given = read_configuration(hazards).net
     sumo_tools.run("netconvert", "-s", str(given), *map(str, patches), "-o", str(patched))
-    after = read_configuration(found.after).net
+    after = read_configuration(changed.after).net
     for name in ("signal6", "left1", "signal5"):
         assert cycle(patched, name) == cycle(after, name)
     speeds = [
