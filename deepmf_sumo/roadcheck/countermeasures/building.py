@@ -46,6 +46,8 @@ _STATES: Final = "signal-states.xml"
 _CHANGED: Final = ("net-file", "additional-files")
 """Options of SUMO that name what is changed."""
 _GREEN, _YELLOW = "Gg", "yY"
+_LEFT: Final = ("l", "L", "t")
+"""Directions of links that cross oncoming traffic: left, half left, and back."""
 
 State = tuple[float, str]
 """From when on a signal shows which letters."""
@@ -323,6 +325,11 @@ class _Work:
             one for tree in trees for one in tree.iter("tlLogic") if one.get("id") == change.signal
             and "off" not in {one.get("programID"), one.get("type")}
         ]  # fmt: skip
+        if not programs:
+            raise UsageError(
+                f"signal '{change.signal}' has no program to change: '{self.config.net}' and the"
+                " additional files have none, as for a rail signal or a light that TraCI controls."
+            )
         for program in programs:
             name = change.signal or ""
             if program.get("type") == signals.NEMA:
@@ -345,7 +352,7 @@ class _Work:
         for lane, into, index in light.getConnections():
             links = [one for one in lane.getOutgoing() if one.getToLane() == into]
             rows[index] += [node.getLinkIndex(one) for one in links]
-            if any(one.getDirection() == "l" for one in links):
+            if any(one.getDirection() in _LEFT for one in links):
                 lefts.append(index)
 
         def foes(one: int, other: int) -> bool:

@@ -32,7 +32,7 @@ class Change(Strict):
         yellow_s: every green ends with a yellow of at least this time, in s.
         all_red_s: at least this time, in s, lies between a yellow and the next green.
         protected_left_s: left turns that have to find gaps in oncoming traffic get a green of
-            their own, of this time in s, and are red while oncoming traffic has green.
+            their own, of at least this time in s, and are red while oncoming traffic has green.
         cycle: ``keep`` takes the added time from the green before; with ``longer`` the cycle grows.
         edge: id of an edge.
         limit_mps, limit_kmh: of all its lanes.

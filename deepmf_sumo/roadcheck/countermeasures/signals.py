@@ -5,7 +5,7 @@ green, ``y``, ``Y``: yellow, the rest: none of both), as in SUMO's ``tlLogic``.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -241,34 +241,123 @@ def _shorter(name: str, phase: NewPhase, seconds: float, *, keep: bool) -> NewPh
 def _protected(
     name: str, cycle: list[NewPhase], change: Change, lefts: Iterable[int], foes: Foes
 ) -> list[NewPhase]:
-    """Permissive left turns are red while what they meet has green; then they have their own."""
-    assert change.protected_left_s is not None
-    rows = list(lefts)
-    found: list[NewPhase] = []
-    waiting: list[int] = []
-    for place, phase in enumerate(cycle):
-        permissive = [
-            link for link in rows
-            if phase.state[link] == "g"
-            and any(phase.green(other) and foes(link, other) for other in _links(cycle))
-        ]  # fmt: skip
-        if permissive:
-            waiting, green = permissive, len(found)
-        state = "".join("r" if link in waiting else one for link, one in enumerate(phase.state))
-        found.append(replace(phase, state=state))
-        behind = cycle[(place + 1) % len(cycle)]
-        if waiting and (_begins(phase, behind) or place == len(cycle) - 1):
-            own = _own_green(name, cycle, waiting, change, foes)
-            found[green] = _shorter(
-                name, found[green], sum(one.duration_s for one in own), keep=change.cycle == "keep"
-            )
-            found += own
-            waiting = []
-    if len(found) == len(cycle):
+    """Permissive left turns are red while what they meet has green; they have their own green.
+
+    Many programs have such a green behind or before the permissive one: that becomes long enough.
+    """
+    met = {one: [other for other in _links(cycle) if foes(one, other)] for one in lefts}
+    met = {
+        one: others for one, others in met.items()
+        if any(_permissive(phase, one, others) for phase in cycle)
+    }  # fmt: skip
+    if not met:
         raise UsageError(
             f"signal '{name}': no left turn has green together with oncoming traffic, so none can"
             " be protected; leave protected_left_s out."
         )
+    served = {
+        one: others for one, others in met.items()
+        if any(_alone(phase, one, others) for phase in cycle)
+    }  # fmt: skip
+    found = [
+        replace(phase, state=_only_alone(cycle, place, served)) for place, phase in enumerate(cycle)
+    ]
+    for link, others in served.items():
+        _lengthen_green(name, found, change, link, _giving(cycle, link, others))
+    found = _cleared(name, found, list(served), change)
+    return _put_in(name, found, change, {one: met[one] for one in met.keys() - served}, foes)
+
+
+def _permissive(phase: NewPhase, link: int, others: Sequence[int]) -> bool:
+    """Whether a link gives way to others that have green."""
+    return phase.state[link] == "g" and any(phase.green(other) for other in others)
+
+
+def _alone(phase: NewPhase, link: int, others: Sequence[int]) -> bool:
+    """Whether a link has a green in which it gives way to none of the others."""
+    going = GREEN_LETTERS + YELLOW_LETTERS
+    return phase.state[link] == "G" or (
+        phase.green(link) and not any(phase.state[other] in going for other in others)
+    )
+
+
+def _giving(cycle: Sequence[NewPhase], link: int, others: Sequence[int]) -> int:
+    """The longest permissive green of a link, which gives time to its own."""
+    places = [at for at, phase in enumerate(cycle) if _permissive(phase, link, others)]
+    return max(places, key=lambda at: cycle[at].duration_s)
+
+
+def _only_alone(cycle: Sequence[NewPhase], place: int, served: Mapping[int, Sequence[int]]) -> str:
+    """The state of a phase with links red where they give way; ``served``: what each meets."""
+    state = list(cycle[place].state)
+    for link, others in served.items():
+        back = place  # a yellow belongs to the green before it
+        while cycle[back].state[link] in YELLOW_LETTERS:
+            back -= 1
+        if cycle[back].green(link) and not _alone(cycle[back], link, others):
+            state[link] = "r"
+    return "".join(state)
+
+
+def _lengthen_green(
+    name: str, cycle: list[NewPhase], change: Change, link: int, giving: int
+) -> None:
+    """Make the longest green of a link as long as asked for, with time of another phase."""
+    runs: list[list[int]] = [[]]
+    for place, phase in enumerate(cycle):
+        if phase.green(link):
+            runs[-1].append(place)
+        elif runs[-1]:
+            runs.append([])
+    if cycle[0].green(link) and cycle[-1].green(link) and len(runs) > 1:
+        runs[0] = runs.pop() + runs[0]  # it goes on from the end of the cycle to its beginning
+    longest_s, last = max((sum(cycle[at].duration_s for at in run), run[-1]) for run in runs if run)
+    lack_s = (change.protected_left_s or 0.0) - longest_s
+    if lack_s > 1e-9:
+        cycle[last] = cycle[last].longer(lack_s)
+        cycle[giving] = _shorter(name, cycle[giving], lack_s, keep=change.cycle == "keep")
+
+
+def _cleared(
+    name: str, cycle: list[NewPhase], links: Sequence[int], change: Change
+) -> list[NewPhase]:
+    """Yellow and all-red behind each green of the links that ends where others go on."""
+    found = list(cycle)
+    put_in: dict[int, list[NewPhase]] = {}
+    for place, phase in enumerate(cycle):
+        after = (place + 1) % len(cycle)
+        ending = [link for link in links if phase.green(link) and cycle[after].state[link] == "r"]
+        if ending and set(cycle[after].state) & set(GREEN_LETTERS):
+            put_in[place] = [
+                NewPhase(_between(phase, cycle[after], ending, letter), seconds)
+                for letter, seconds in _clearing(cycle, change)
+            ]
+            added_s = sum(one.duration_s for one in put_in[place])
+            found[after] = _shorter(name, found[after], added_s, keep=change.cycle == "keep")
+    return [one for place, phase in enumerate(found) for one in (phase, *put_in.get(place, ()))]
+
+
+def _put_in(
+    name: str, cycle: list[NewPhase], change: Change, met: Mapping[int, Sequence[int]], foes: Foes
+) -> list[NewPhase]:
+    """Left turns without a green of their own get a new one; ``met``: what each meets."""
+    found: list[NewPhase] = []
+    waiting: set[int] = set()
+    giving: list[int] = []
+    for place, phase in enumerate(cycle):
+        permissive = {link for link, others in met.items() if _permissive(phase, link, others)}
+        if permissive:
+            giving.append(len(found))
+        waiting |= permissive
+        state = "".join("r" if link in waiting else one for link, one in enumerate(phase.state))
+        found.append(replace(phase, state=state))
+        if waiting and (_begins(phase, cycle[(place + 1) % len(cycle)]) or place == len(cycle) - 1):
+            own = _own_green(name, cycle, sorted(waiting), change, foes)
+            most = max(giving, key=lambda at: found[at].duration_s)
+            added_s = sum(one.duration_s for one in own)
+            found[most] = _shorter(name, found[most], added_s, keep=change.cycle == "keep")
+            found += own
+            waiting, giving = set(), []
     return found
 
 
@@ -283,14 +372,18 @@ def _own_green(
                 f"signal '{name}': the left turns of links {one} and {meets[0]} meet, so they"
                 " cannot have green together; give them phases in netedit."
             )
-    yellow_s = change.yellow_s or _usual_s(cycle, _is_yellow) or 3.0
-    red_s = change.all_red_s or _usual_s(cycle, _is_pause)
-    rows = [(change.protected_left_s or 0.0, "G"), (yellow_s, "y"), (red_s, "r")]
+    rows = [("G", change.protected_left_s or 0.0), *_clearing(cycle, change)]
     return [
         NewPhase("".join(letter if link in lefts else "r" for link in _links(cycle)), seconds)
-        for seconds, letter in rows
-        if seconds
+        for letter, seconds in rows
     ]
+
+
+def _clearing(cycle: Sequence[NewPhase], change: Change) -> list[tuple[str, float]]:
+    """Letters and times behind a green: those asked for, or else those of the program."""
+    yellow_s = change.yellow_s or _usual_s(cycle, _is_yellow) or 3.0
+    red_s = change.all_red_s or _usual_s(cycle, _is_pause)
+    return [("y", yellow_s), ("r", red_s)] if red_s else [("y", yellow_s)]
 
 
 def _usual_s(cycle: Sequence[NewPhase], chosen: Callable[[Sequence[NewPhase], int], bool]) -> float:

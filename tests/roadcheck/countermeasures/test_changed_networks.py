@@ -30,17 +30,17 @@ changes:
 """
 
 
-CHANGED = ("merge3", "signal5", "signal6", "left1", "stop1", "stop8")
+PLACES = ("merge3", "signal5", "signal6", "left1", "stop1", "stop8")
 
 
 @pytest.fixture(scope="module")
 def hazards(tmp_path_factory, starts_sumo):
-    """Those of the forty places that the tests change."""
+    """Those of the forty places that the tests change or try to."""
     file = ROOT / "studies" / "hazards" / "build.py"
     spec = importlib.util.spec_from_file_location("hazards_to_change", file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    some = [place for place in module.places() if place.name in CHANGED]
+    some = [place for place in module.places() if place.name in PLACES]
     module.places = lambda: some
     return module.build(tmp_path_factory.mktemp("hazards"))
 
@@ -77,20 +77,20 @@ def runs_in_sumo(config):
 
 
 def test_programs_and_limits_change_and_nothing_else(hazards, changed):
-    found = changed
-    assert found.before == hazards
-    after = read_configuration(found.after).net
+    assert changed.before == hazards
+    after = read_configuration(changed.after).net
     assert cycle(after, "signal6") == "10:GGrr 3:yyrr 2:rrrr 10:rrGG 3:rryy 2:rrrr"
     assert cycle(after, "left1") == "10:GGr 5:yyr 2:rrr 8:rrG 5:rry 2:rrr"
-    assert net(found.after).getEdge("stop8_west_in").getSpeed() == pytest.approx(50 / 3.6, abs=0.01)
-    old, new = (elements(read_configuration(one).net) for one in (hazards, found.after))
+    limited = net(changed.after).getEdge("stop8_west_in")
+    assert limited.getSpeed() == pytest.approx(50 / 3.6, abs=0.01)
+    old, new = (elements(read_configuration(one).net) for one in (hazards, changed.after))
     assert {one for one in old ^ new if one[0] != "phase"} == {
         one for one in old ^ new if ("id", "stop8_west_in_0") in one[1]
     }
     assert len(old - new) < 10
-    assert found.junctions == ("left1_mid", "signal6_mid")
-    assert found.edges == ("stop8_west_in",)
-    assert runs_in_sumo(found.after)
+    assert changed.junctions == ("left1_mid", "signal6_mid")
+    assert changed.edges == ("stop8_west_in",)
+    assert runs_in_sumo(changed.after)
 
 
 ADDITIONAL = """<additional>

@@ -56,12 +56,41 @@ def test_yellow_and_all_red(cycle, keys, wanted):
 
 
 def test_a_permissive_left_turn_gets_a_green_of_its_own():
-    left = {"lefts": [2], "foes": [(1, 2)], "protected_left_s": 8.0}
+    left = {"lefts": [2], "foes": [(2, 1)], "protected_left_s": 8.0}
     assert after("25:GGg 5:yyy 2:rrr", **left) == "10:GGr 5:yyr 2:rrr 8:rrG 5:rry 2:rrr"
     short = after("25:GGg 5:yyy 2:rrr", **left, yellow_s=3.0)
     assert short == "12:GGr 5:yyr 2:rrr 8:rrG 3:rry 2:rrr"
     longer = after("25:GGg 5:yyy 2:rrr", **left, cycle="longer")
     assert longer == "25:GGr 5:yyr 2:rrr 8:rrG 5:rry 2:rrr"
+
+
+@pytest.mark.parametrize(
+    ("cycle", "foes", "wanted"),
+    [
+        # it has a green of its own behind the permissive one, as netconvert makes it, or before it
+        ("29:GGg 5:yyg 6:rrG 5:rry", [(2, 1)], "27:GGr 5:yyr 8:rrG 5:rry"),
+        ("29:GGg 5:yyg 9:rrG 5:rry", [(2, 1)], "29:GGr 5:yyr 9:rrG 5:rry"),
+        ("6:rrG 5:rry 29:GGg 5:yyg", [(2, 1)], "8:rrG 5:rry 27:GGr 5:yyr"),
+        ("6:rrG 29:GGg 5:yyy 2:rrr", [(2, 1)], "8:rrG 5:rry 2:rrr 20:GGr 5:yyr 2:rrr"),
+        # it begins at the end of the cycle and goes on at the beginning
+        ("3:rrG 5:rry 29:GGg 5:yyr 3:rrG", [(2, 1)], "5:rrG 5:rry 27:GGr 5:yyr 3:rrG"),
+        # others that give way to it do not make it permissive
+        ("29:GGg 5:yyg 9:rgG 5:ryy", [(2, 1)], "29:GGr 5:yyr 9:rgG 5:ryy"),
+        # a phase in which nothing meets it is its own, whatever the letter
+        ("29:GGg 5:yyg 9:rrg 5:rry", [(2, 1)], "29:GGr 5:yyr 9:rrg 5:rry"),
+        # the longest of several greens gives time
+        ("36:GGg 5:GGg 5:yyy", [(2, 1)], "23:GGr 5:GGr 5:yyr 8:rrG 5:rry"),
+        # all get one that had to wait in any of them
+        ("30:gGgG 10:rGgG 3:ryyy", [(0, 1), (2, 3)], "19:rGrG 10:rGrG 3:ryry 8:GrGr 3:yryr"),
+        # one has a green of its own, the other has none
+        ("40:GgGg 5:ygyy 6:rGrr 5:ryrr", [(1, 2), (3, 0)],
+         "25:GrGr 5:yryr 8:rrrG 5:rrry 8:rGrr 5:ryrr"),
+    ],
+)  # fmt: skip
+def test_the_green_that_a_left_turn_has_becomes_its_only_one(cycle, foes, wanted):
+    """``foes``: each with the left turn first."""
+    lefts = [left for left, _ in foes]
+    assert after(cycle, lefts=lefts, foes=foes, protected_left_s=8.0) == wanted
 
 
 @pytest.mark.parametrize(
@@ -100,6 +129,6 @@ def test_an_actuated_light_keeps_its_greens():
 
 
 def test_a_green_of_its_own_ends_with_yellow_where_the_program_has_none():
-    left = {"lefts": [2], "foes": [(1, 2)], "protected_left_s": 8.0}
+    left = {"lefts": [2], "foes": [(2, 1)], "protected_left_s": 8.0}
     assert after("25:GGg 25:rrr", **left) == "14:GGr 25:rrr 8:rrG 3:rry"
     assert after("25:GGg 25:rrr", **left, yellow_s=4.0).endswith("8:rrG 4:rry")

@@ -10,6 +10,7 @@ import sumo
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.roadcheck.countermeasures import building, document, signals
+from deepmf_sumo.sumo.network import sumo_tools
 
 from tests.support import crossing_network
 
@@ -82,6 +83,87 @@ def test_left_turns_of_a_nema_controller_are_refused(tmp_path):
     wanted = WANTED.replace("yellow_s: 5, all_red_s: 2", "protected_left_s: 8")
     with pytest.raises(UsageError, match="is a NEMA controller"):
         built(crossing(tmp_path, "NEMA"), wanted)
+
+
+ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
+
+
+def four_arms(folder, control):
+    """Two lanes in each direction, and turning back is allowed."""
+    nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
+    edges = "".join(
+        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="2" speed="13.9"/>'
+        for arm in ARMS for start, to in ((arm, "mid"), ("mid", arm))
+    )  # fmt: skip
+    middle = '<node id="mid" x="0" y="0" type="traffic_light"/>'
+    (folder / "four.nod.xml").write_text(f"<nodes>{middle}{nodes}</nodes>")
+    (folder / "four.edg.xml").write_text(f"<edges>{edges}</edges>")
+    sumo_tools.run(
+        "netconvert", "-n", str(folder / "four.nod.xml"), "-e", str(folder / "four.edg.xml"),
+        "-o", str(folder / "four.net.xml"), "--tls.default-type", control,
+    )  # fmt: skip
+    config = folder / "four.sumocfg"
+    config.write_text('<configuration><net-file value="four.net.xml"/></configuration>')
+    return config
+
+
+def ways(net):
+    """Direction of each link of the light, and which links meet it, from the network's file."""
+    root = ET.parse(net).getroot()
+    links = {
+        int(one.get("linkIndex")): one.get("dir") for one in root.iter("connection")
+        if one.get("tl") == "mid"
+    }  # fmt: skip
+    [middle] = [one for one in root.iter("junction") if one.get("id") == "mid"]
+    bits = {int(one.get("index")): one.get("foes")[::-1] for one in middle.iter("request")}
+    meets = {link: [at for at, bit in enumerate(row) if bit == "1"] for link, row in bits.items()}
+    return links, meets
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize("control", ["static", "actuated"])
+def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, tmp_path):
+    """netconvert's program has a green for left turns behind the one in which they find gaps."""
+    config = four_arms(tmp_path, control)
+    links, meets = ways(tmp_path / "four.net.xml")
+    crossing = {link for link, way in links.items() if way in "lt"}
+    before = runs_of(config, tmp_path)
+    changed = built(config, "version: 1\nchanges: [{signal: mid, protected_left_s: 8}]\n")
+    after = runs_of(changed.after, tmp_path)
+
+    def gives_way(runs):
+        return any(
+            state[link] == "g" and any(state[other] in "gG" for other in meets[link])
+            for _, state in runs for link in crossing
+        )  # fmt: skip
+
+    assert gives_way(before)
+    assert not gives_way(after)
+    assert not any(set(state) == {"r"} for _, state in after)
+    for link in crossing:
+        letters = "".join(state[link] for _, state in after)
+        assert "G" in letters
+        assert "Gr" not in letters
+        assert "gr" not in letters
+        greens = [seconds for seconds, state in after if state[link] in "gG"]
+        assert min(greens) >= 8
+    for link in links.keys() - crossing:
+        seen = [
+            [letter for letter, _ in itertools.groupby(state[link] for _, state in runs)]
+            for runs in (before, after)
+        ]
+        assert len({tuple(one[:5]) for one in seen}) == 1
+
+
+@pytest.mark.sumo
+def test_a_signal_without_a_program_is_refused(tmp_path):
+    """As rail signals of real networks are."""
+    config = four_arms(tmp_path, "static")
+    tree = ET.parse(tmp_path / "four.net.xml")
+    tree.getroot().remove(tree.getroot().find("tlLogic"))
+    tree.write(tmp_path / "four.net.xml")
+    with pytest.raises(UsageError, match="signal 'mid' has no program to change"):
+        built(config)
 
 
 def meet(one, other):
