@@ -265,7 +265,7 @@ def _protected(
     for link, others in served.items():
         _lengthen_green(name, found, change, link, _giving(cycle, link, others))
     found = _cleared(name, found, list(served), change)
-    return _put_in(name, found, change, {one: met[one] for one in met.keys() - served}, foes)
+    return _put_in(name, found, change, met, foes)
 
 
 def _permissive(phase: NewPhase, link: int, others: Sequence[int]) -> bool:
@@ -340,7 +340,7 @@ def _cleared(
 def _put_in(
     name: str, cycle: list[NewPhase], change: Change, met: Mapping[int, Sequence[int]], foes: Foes
 ) -> list[NewPhase]:
-    """Left turns without a green of their own get a new one; ``met``: what each meets."""
+    """Left turns that still give way get a green of their own; ``met``: what each meets."""
     found: list[NewPhase] = []
     waiting: set[int] = set()
     giving: list[int] = []

@@ -80,6 +80,15 @@ def test_a_permissive_left_turn_gets_a_green_of_its_own():
         ("29:GGg 5:yyg 9:rrg 5:rry", [(2, 1)], "29:GGr 5:yyr 9:rrg 5:rry"),
         # the longest of several greens gives time
         ("36:GGg 5:GGg 5:yyy", [(2, 1)], "23:GGr 5:GGr 5:yyr 8:rrG 5:rry"),
+        ("20:GGg 9:GGg 5:yyg 6:rrG 5:rry", [(2, 1)], "18:GGr 9:GGr 5:yyr 8:rrG 5:rry"),
+        ("9:GGg 20:GGg 5:yyg 6:rrG 5:rry", [(2, 1)], "9:GGr 18:GGr 5:yyr 8:rrG 5:rry"),
+        # of its own stretch
+        (
+            "50:GGgrr 5:yyyrr 20:rrrGg 5:rrryy", [(2, 1), (4, 3)],
+            "37:GGrrr 5:yyrrr 8:rrGrr 5:rryrr 7:rrrGr 5:rrryr 8:rrrrG 5:rrrry",
+        ),
+        # where nobody goes on, a program without yellow stays as it is
+        ("29:GGg 5:yyg 9:rrG 2:rrr", [(2, 1)], "29:GGr 5:yyr 9:rrG 2:rrr"),
         # all get one that had to wait in any of them
         ("30:gGgG 10:rGgG 3:ryyy", [(0, 1), (2, 3)], "19:rGrG 10:rGrG 3:ryry 8:GrGr 3:yryr"),
         # one has a green of its own, the other has none

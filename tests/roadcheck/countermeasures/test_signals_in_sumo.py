@@ -89,7 +89,7 @@ ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
 
 
 def four_arms(folder, control):
-    """Two lanes in each direction, and turning back is allowed."""
+    """Two lanes in each direction; turning back is allowed, and who turns right gives way."""
     nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
     edges = "".join(
         f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="2" speed="13.9"/>'
@@ -102,14 +102,21 @@ def four_arms(folder, control):
         "netconvert", "-n", str(folder / "four.nod.xml"), "-e", str(folder / "four.edg.xml"),
         "-o", str(folder / "four.net.xml"), "--tls.default-type", control,
     )  # fmt: skip
+    tree = ET.parse(folder / "four.net.xml")
+    rights = {link for link, way in ways(tree.getroot())[0].items() if way == "r"}
+    for phase in tree.iter("phase"):
+        letters = list(phase.get("state"))
+        for link in rights:
+            letters[link] = letters[link].replace("G", "g")
+        phase.set("state", "".join(letters))
+    tree.write(folder / "four.net.xml")
     config = folder / "four.sumocfg"
     config.write_text('<configuration><net-file value="four.net.xml"/></configuration>')
     return config
 
 
-def ways(net):
+def ways(root):
     """Direction of each link of the light, and which links meet it, from the network's file."""
-    root = ET.parse(net).getroot()
     links = {
         int(one.get("linkIndex")): one.get("dir") for one in root.iter("connection")
         if one.get("tl") == "mid"
@@ -125,7 +132,7 @@ def ways(net):
 def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, tmp_path):
     """netconvert's program has a green for left turns behind the one in which they find gaps."""
     config = four_arms(tmp_path, control)
-    links, meets = ways(tmp_path / "four.net.xml")
+    links, meets = ways(ET.parse(tmp_path / "four.net.xml").getroot())
     crossing = {link for link, way in links.items() if way in "lt"}
     before = runs_of(config, tmp_path)
     changed = built(config, "version: 1\nchanges: [{signal: mid, protected_left_s: 8}]\n")
