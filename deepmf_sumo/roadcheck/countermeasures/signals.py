@@ -33,6 +33,18 @@ class NewPhase:
         """Whether a link may go."""
         return self.state[link] in GREEN_LETTERS
 
+    @property
+    def actuated(self) -> bool:
+        """Whether the light chooses its length."""
+        return self.element is not None and self.element.get("minDur") is not None
+
+    @property
+    def least_s(self) -> float:
+        """How long it is whatever an actuated light chooses."""
+        if self.element is None or not self.actuated:
+            return self.duration_s
+        return min(self.duration_s, float(self.element.get("minDur", "0")) + self.added_s)
+
     def longer(self, seconds: float) -> "NewPhase":
         """The phase with more time, or with less."""
         return replace(self, duration_s=self.duration_s + seconds, added_s=self.added_s + seconds)
@@ -226,8 +238,7 @@ def _green_before(cycle: Sequence[NewPhase], place: int) -> int:
 
 def _shorter(name: str, phase: NewPhase, seconds: float, *, keep: bool) -> NewPhase:
     """A green that has given time. Raises UsageError where too little is left."""
-    actuated = phase.element is not None and phase.element.get("minDur") is not None
-    if not keep or actuated:  # an actuated light chooses its greens
+    if not keep or phase.actuated:
         return phase
     left = phase.duration_s - seconds
     if left < LEAST_GREEN_S:
@@ -311,7 +322,7 @@ def _lengthen_green(
             runs.append([])
     if cycle[0].green(link) and cycle[-1].green(link) and len(runs) > 1:
         runs[0] = runs.pop() + runs[0]  # it goes on from the end of the cycle to its beginning
-    longest_s, last = max((sum(cycle[at].duration_s for at in run), run[-1]) for run in runs if run)
+    longest_s, last = max((sum(cycle[at].least_s for at in run), run[-1]) for run in runs if run)
     lack_s = (change.protected_left_s or 0.0) - longest_s
     if lack_s > 1e-9:
         cycle[last] = cycle[last].longer(lack_s)

@@ -88,12 +88,12 @@ def test_left_turns_of_a_nema_controller_are_refused(tmp_path):
 ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
 
 
-def four_arms(folder, control):
-    """Two lanes in each direction; turning back is allowed, and who turns right gives way."""
+def four_arms(folder, control, lanes):
+    """Turning back is allowed; who turns right gives way to all that lead into the same lane."""
     nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
     edges = "".join(
-        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="2" speed="13.9"/>'
-        for arm in ARMS for start, to in ((arm, "mid"), ("mid", arm))
+        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="{many}" speed="13.9"/>'
+        for arm in ARMS for start, to, many in ((arm, "mid", lanes), ("mid", arm, 1))
     )  # fmt: skip
     middle = '<node id="mid" x="0" y="0" type="traffic_light"/>'
     (folder / "four.nod.xml").write_text(f"<nodes>{middle}{nodes}</nodes>")
@@ -128,10 +128,11 @@ def ways(root):
 
 
 @pytest.mark.sumo
+@pytest.mark.parametrize("lanes", [2, 3])
 @pytest.mark.parametrize("control", ["static", "actuated"])
-def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, tmp_path):
-    """netconvert's program has a green for left turns behind the one in which they find gaps."""
-    config = four_arms(tmp_path, control)
+def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, lanes, tmp_path):
+    """From three lanes on they have a green behind the one in which they find gaps."""
+    config = four_arms(tmp_path, control, lanes)
     links, meets = ways(ET.parse(tmp_path / "four.net.xml").getroot())
     crossing = {link for link, way in links.items() if way in "lt"}
     before = runs_of(config, tmp_path)
@@ -165,7 +166,7 @@ def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, tmp_path):
 @pytest.mark.sumo
 def test_a_signal_without_a_program_is_refused(tmp_path):
     """As rail signals of real networks are."""
-    config = four_arms(tmp_path, "static")
+    config = four_arms(tmp_path, "static", 2)
     tree = ET.parse(tmp_path / "four.net.xml")
     tree.getroot().remove(tree.getroot().find("tlLogic"))
     tree.write(tmp_path / "four.net.xml")
