@@ -89,11 +89,12 @@ ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
 
 
 def four_arms(folder, control, lanes):
-    """Turning back is allowed; who turns right gives way to all that lead into the same lane."""
+    """Turning back is allowed; who turns right gives way to the lane of bicycles beside."""
     nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
     edges = "".join(
-        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="{many}" speed="13.9"/>'
-        for arm in ARMS for start, to, many in ((arm, "mid", lanes), ("mid", arm, 1))
+        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="{lanes}" speed="13.9"'
+        ' bikeLaneWidth="1.5"/>'
+        for arm in ARMS for start, to in ((arm, "mid"), ("mid", arm))
     )  # fmt: skip
     middle = '<node id="mid" x="0" y="0" type="traffic_light"/>'
     (folder / "four.nod.xml").write_text(f"<nodes>{middle}{nodes}</nodes>")
@@ -102,24 +103,17 @@ def four_arms(folder, control, lanes):
         "netconvert", "-n", str(folder / "four.nod.xml"), "-e", str(folder / "four.edg.xml"),
         "-o", str(folder / "four.net.xml"), "--tls.default-type", control,
     )  # fmt: skip
-    tree = ET.parse(folder / "four.net.xml")
-    rights = {link for link, way in ways(tree.getroot())[0].items() if way == "r"}
-    for phase in tree.iter("phase"):
-        letters = list(phase.get("state"))
-        for link in rights:
-            letters[link] = letters[link].replace("G", "g")
-        phase.set("state", "".join(letters))
-    tree.write(folder / "four.net.xml")
     config = folder / "four.sumocfg"
     config.write_text('<configuration><net-file value="four.net.xml"/></configuration>')
     return config
 
 
-def ways(root):
+def ways(net):
     """Direction of each link of the light, and which links meet it, from the network's file."""
+    root = ET.parse(net).getroot()
     links = {
-        int(one.get("linkIndex")): one.get("dir") for one in root.iter("connection")
-        if one.get("tl") == "mid"
+        int(one.get("linkIndex")): "bike" if one.get("fromLane") == "0" else one.get("dir")
+        for one in root.iter("connection") if one.get("tl") == "mid"
     }  # fmt: skip
     [middle] = [one for one in root.iter("junction") if one.get("id") == "mid"]
     bits = {int(one.get("index")): one.get("foes")[::-1] for one in middle.iter("request")}
@@ -133,7 +127,7 @@ def ways(root):
 def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, lanes, tmp_path):
     """From three lanes on they have a green behind the one in which they find gaps."""
     config = four_arms(tmp_path, control, lanes)
-    links, meets = ways(ET.parse(tmp_path / "four.net.xml").getroot())
+    links, meets = ways(tmp_path / "four.net.xml")
     crossing = {link for link, way in links.items() if way in "lt"}
     before = runs_of(config, tmp_path)
     changed = built(config, "version: 1\nchanges: [{signal: mid, protected_left_s: 8}]\n")
