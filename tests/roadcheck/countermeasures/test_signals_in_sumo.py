@@ -88,13 +88,13 @@ def test_left_turns_of_a_nema_controller_are_refused(tmp_path):
 ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
 
 
-def four_arms(folder, control, lanes):
-    """Turning back is allowed; who turns right gives way to the lane of bicycles beside."""
+def four_arms(folder, control, lanes=3, bicycles=""):
+    """Turning back is allowed; who turns right gives way to a lane of bicycles beside."""
     nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
     edges = "".join(
-        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="{lanes}" speed="13.9"'
-        ' bikeLaneWidth="1.5"/>'
-        for arm in ARMS for start, to in ((arm, "mid"), ("mid", arm))
+        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="{many}" speed="13.9"'
+        f" {bicycles}/>"
+        for arm in ARMS for start, to, many in ((arm, "mid", lanes), ("mid", arm, 2))
     )  # fmt: skip
     middle = '<node id="mid" x="0" y="0" type="traffic_light"/>'
     (folder / "four.nod.xml").write_text(f"<nodes>{middle}{nodes}</nodes>")
@@ -109,11 +109,12 @@ def four_arms(folder, control, lanes):
 
 
 def ways(net):
-    """Direction of each link of the light, and which links meet it, from the network's file."""
+    """Direction of each link for cars, and which links meet it, from the file of the network."""
     root = ET.parse(net).getroot()
+    cyclists = {one.get("id") for one in root.iter("lane") if one.get("allow") == "bicycle"}
     links = {
-        int(one.get("linkIndex")): "bike" if one.get("fromLane") == "0" else one.get("dir")
-        for one in root.iter("connection") if one.get("tl") == "mid"
+        int(one.get("linkIndex")): one.get("dir") for one in root.iter("connection")
+        if one.get("tl") == "mid" and f"{one.get('from')}_{one.get('fromLane')}" not in cyclists
     }  # fmt: skip
     [middle] = [one for one in root.iter("junction") if one.get("id") == "mid"]
     bits = {int(one.get("index")): one.get("foes")[::-1] for one in middle.iter("request")}
@@ -122,11 +123,11 @@ def ways(net):
 
 
 @pytest.mark.sumo
-@pytest.mark.parametrize("lanes", [2, 3])
+@pytest.mark.parametrize("roads", [(2, 'bikeLaneWidth="1.5"'), (3, "")])
 @pytest.mark.parametrize("control", ["static", "actuated"])
-def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, lanes, tmp_path):
-    """From three lanes on they have a green behind the one in which they find gaps."""
-    config = four_arms(tmp_path, control, lanes)
+def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, roads, tmp_path):
+    """With a lane of their own they have a green behind the one in which they find gaps."""
+    config = four_arms(tmp_path, control, *roads)
     links, meets = ways(tmp_path / "four.net.xml")
     crossing = {link for link, way in links.items() if way in "lt"}
     before = runs_of(config, tmp_path)
@@ -160,7 +161,7 @@ def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, lanes, tmp
 @pytest.mark.sumo
 def test_a_signal_without_a_program_is_refused(tmp_path):
     """As rail signals of real networks are."""
-    config = four_arms(tmp_path, "static", 2)
+    config = four_arms(tmp_path, "static")
     tree = ET.parse(tmp_path / "four.net.xml")
     tree.getroot().remove(tree.getroot().find("tlLogic"))
     tree.write(tmp_path / "four.net.xml")
