@@ -24,7 +24,7 @@ from deepmf_sumo.roadcheck.countermeasures import signals
 from deepmf_sumo.roadcheck.countermeasures.document import Change
 from deepmf_sumo.roadcheck.countermeasures.signals import Foes
 from deepmf_sumo.sumo.network import sumo_tools
-from deepmf_sumo.sumo.network.sumo_net import ROAD_VEHICLES
+from deepmf_sumo.sumo.network.sumo_net import ROAD_VEHICLES, read_once
 from deepmf_sumo.sumo.simulation import files_read, sumo_options
 from deepmf_sumo.sumo.simulation.sumo_config import (
     Configuration,
@@ -47,8 +47,8 @@ _STATES: Final = "signal-states.xml"
 _CHANGED: Final = ("net-file", "additional-files")
 """Options of SUMO that name what is changed."""
 _GREEN, _YELLOW = "Gg", "yY"
-_LEFT: Final = ("l", "L", "t")
-"""Directions of links that cross oncoming traffic: left, half left, and back."""
+_ACROSS: Final = {False: ("l", "L", "t"), True: ("r", "R", "T")}
+"""Directions of links across oncoming traffic (turn, half turn, back), by whether it keeps left."""
 
 State = tuple[float, str]
 """From when on a signal shows which letters."""
@@ -346,15 +346,15 @@ class _Work:
             patch.append(program)
 
     def _links(self, light: Any) -> tuple[signals.Foes, list[int]]:
-        """Which links of a light meet, and where motor vehicles turn left."""
+        """Which links of a light meet, and where motor vehicles turn across oncoming traffic."""
         node = next(iter(light.getConnections()))[0].getEdge().getToNode()
         rows: dict[int, list[int]] = {index: [] for _, _, index in light.getConnections()}
-        lefts = []
+        lefts, across = [], _ACROSS[read_once(self.config.net).left_hand]
         for lane, into, index in light.getConnections():
             links = [one for one in lane.getOutgoing() if one.getToLane() == into]
             rows[index] += [node.getLinkIndex(one) for one in links]
             motor = any(map(lane.allows, ROAD_VEHICLES))  # cyclists wait for gaps as before
-            if motor and any(one.getDirection() in _LEFT for one in links):
+            if motor and any(one.getDirection() in across for one in links):
                 lefts.append(index)
 
         def foes(one: int, other: int) -> bool:

@@ -88,7 +88,7 @@ def test_left_turns_of_a_nema_controller_are_refused(tmp_path):
 ARMS = {"w": (-150, 0), "e": (150, 0), "s": (0, -150), "n": (0, 150)}
 
 
-def four_arms(folder, control, lanes=3, bicycles=""):
+def four_arms(folder, control, lanes=3, bicycles="", *options):
     """Turning back is allowed; who turns right gives way to a lane of bicycles beside."""
     nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in ARMS.items())
     edges = "".join(
@@ -101,7 +101,7 @@ def four_arms(folder, control, lanes=3, bicycles=""):
     (folder / "four.edg.xml").write_text(f"<edges>{edges}</edges>")
     sumo_tools.run(
         "netconvert", "-n", str(folder / "four.nod.xml"), "-e", str(folder / "four.edg.xml"),
-        "-o", str(folder / "four.net.xml"), "--tls.default-type", control,
+        "-o", str(folder / "four.net.xml"), "--tls.default-type", control, *options,
     )  # fmt: skip
     config = folder / "four.sumocfg"
     config.write_text('<configuration><net-file value="four.net.xml"/></configuration>')
@@ -123,13 +123,18 @@ def ways(net):
 
 
 @pytest.mark.sumo
-@pytest.mark.parametrize("roads", [(2, 'bikeLaneWidth="1.5"'), (3, "")])
+@pytest.mark.parametrize(
+    "roads", [(2, 'bikeLaneWidth="1.5"'), (3, ""), (2, "", "--lefthand"), (3, "", "--lefthand")]
+)
 @pytest.mark.parametrize("control", ["static", "actuated"])
 def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, roads, tmp_path):
-    """With a lane of their own they have a green behind the one in which they find gaps."""
+    """With a lane of their own they have a green behind the one in which they find gaps.
+
+    Where traffic keeps left, right turns are what crosses the oncoming traffic.
+    """
     config = four_arms(tmp_path, control, *roads)
     links, meets = ways(tmp_path / "four.net.xml")
-    crossing = {link for link, way in links.items() if way in "lt"}
+    crossing = {link for link, way in links.items() if way in ("rT" if len(roads) > 2 else "lt")}
     before = runs_of(config, tmp_path)
     changed = built(config, "version: 1\nchanges: [{signal: mid, protected_left_s: 8}]\n")
     after = runs_of(changed.after, tmp_path)
