@@ -28,8 +28,8 @@ TYPES: Final[tuple[ConflictType, ...]] = get_args(ConflictType)
 DEFINITIONS: Final[Mapping[ConflictType, str]] = {
     "rear-end": "from one direction, one behind the other for the last 3 s",
     "crossing": "from two sides, onto different roads (right angle)",
-    "left turn across path": "a left turn in front of an oncoming vehicle",
-    "right turn across path": "a right turn in front of an oncoming vehicle",
+    "left turn across path": "a left turn across the way of a vehicle that is oncoming or beside",
+    "right turn across path": "a right turn across the way of a vehicle that is oncoming or beside",
     "merging": "from two roads onto one",
     "lane change": "from one direction, one into the way or the side of the other",
     "head-on": "in opposite directions when they met, and neither turned across",
@@ -111,9 +111,7 @@ def conflict_type(
     came = _angle(av.came_rad, opponent.came_rad)
     if came < _SAME_RAD:
         in_line = not from_beside and boxes.end_to_end(*_box(av), *_box(opponent))
-        if in_line:
-            return "rear-end"
-        return "merging" if _joins(road, av, opponent) else "lane change"
+        return "rear-end" if in_line else _side_by_side(road, av, opponent)
     turns = _turn_rad(av, road), _turn_rad(opponent, road)
     leaving = _angle(av.came_rad + turns[0], opponent.came_rad + turns[1])
     turned = [turn for turn in turns if turn]
@@ -121,10 +119,29 @@ def conflict_type(
     if came > _OPPOSITE_RAD and len(turned) < 2:
         if not turned:
             return "head-on"
-        return "left turn across path" if turned[0] > 0 else "right turn across path"
+        return _across(turned[0])
     if leaving < _JOINED_RAD or _meet(road, av, opponent):
         return "merging"
     return "head-on" if met > _OPPOSITE_RAD else "crossing"
+
+
+def _across(turn_rad: float) -> ConflictType:
+    return "left turn across path" if turn_rad > 0 else "right turn across path"
+
+
+def _side_by_side(road: RoadMap | None, av: Course, opponent: Course) -> ConflictType:
+    """Of two that came from one direction, neither behind the other."""
+    if _joins(road, av, opponent):
+        return "merging"
+    if road is None or _meet(road, av, opponent):
+        return "lane change"
+    for one, other in ((av, opponent), (opponent, av)):
+        turn = _turn_rad(one, road)
+        if turn and other.lanes:
+            onward = {*other.lanes, *road.lanes[other.lanes[-1]].next}
+            if any(not onward.isdisjoint(road.lanes[lane].gives_way_to) for lane in one.lanes):
+                return _across(turn)
+    return "lane change"
 
 
 def _angle(one_rad: float, other_rad: float) -> float:
@@ -300,7 +317,7 @@ class Meeting:
             return "ahead" if self.local(self.step)[0] > 0 else "behind"
         av, opponent = self.courses
         came = float(frames.difference(opponent.came_rad, av.came_rad))
-        if self.type in ACROSS | {"head-on"} or abs(came) > _OPPOSITE_RAD:
+        if self.type == "head-on" or abs(came) > _OPPOSITE_RAD:
             return self._kerb() if self.tracks.kinds[self.other] == "pedestrian" else "ahead"
         if abs(came) > _SAME_RAD:
             return "left" if came < 0 else "right"

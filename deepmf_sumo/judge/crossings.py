@@ -38,9 +38,13 @@ def on_crossing(road_map: RoadMap, meeting: Meeting) -> bool:
 
 
 def on_road(road_map: RoadMap, meeting: Meeting) -> bool:
-    """Whether the other was on a lane for cars, or half a metre beside it, at the contact."""
+    """Whether the other was on a lane, or half a metre beside it, at the contact.
+
+    Cycle lanes are lanes to cyclists alone.
+    """
     tracks, at = meeting.tracks, (meeting.other, [meeting.step])
-    return bool(road.on_road(road_map, tracks.position_m[at], tracks.z_m[at])[0])
+    bicycles = tracks.kinds[meeting.other] == "cyclist"
+    return bool(road.on_road(road_map, tracks.position_m[at], tracks.z_m[at], bicycles=bicycles)[0])
 
 
 def light_let_it_go(rollout: Rollout, meeting: Meeting) -> bool:
@@ -60,15 +64,17 @@ def before_hit(rollout: Rollout, meeting: Meeting) -> Ints:
 def rides(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool:
     """Whether the other is a cyclist who rode along the road in the last seconds.
 
-    Either way, but not across: mostly within 45 degrees of a lane there, and never beside the road.
+    Either way, but not across: mostly within 45 degrees of a lane there, cycle lanes included, and
+    never beside the road.
     """
     tracks, row = rollout.tracks, meeting.other
     if tracks.kinds[row] != "cyclist":
         return False
     steps = before_hit(rollout, meeting)
-    if not intention.on_road(rollout, road_map, row, steps).all():
+    if not intention.on_road(rollout, road_map, row, steps, bicycles=True).all():
         return False
-    under = road.covering(road_map, tracks.position_m[row, steps], tracks.z_m[row, steps])
+    places = tracks.position_m[row, steps], tracks.z_m[row, steps]
+    under = road.covering(road_map, *places, bicycles=True)
     turn = tracks.heading_rad[row, steps][under.point] - under.heading_rad
     along = np.zeros(len(steps), bool)
     along[under.point[np.abs(np.cos(turn)) > _ALONG]] = True

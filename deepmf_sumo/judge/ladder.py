@@ -379,7 +379,7 @@ def _rode_against(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool
     velocity = tracks.velocity_mps[row, steps]
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
     against = road.against_traffic(
-        road_map, tracks.position_m[row, steps], course, tracks.z_m[row, steps]
+        road_map, tracks.position_m[row, steps], course, tracks.z_m[row, steps], bicycles=True
     )
     against &= np.hypot(*velocity.T) > _RIDING_MPS
     return bool(len(steps) and against.mean() > _MOSTLY_RIDING)

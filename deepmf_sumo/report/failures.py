@@ -163,17 +163,22 @@ def _happened(one: Failure) -> str:
     assert one.conflict is not None
     other, did = one.opponent, _did(one)
     turn = one.conflict.partition(" ")[0]
+    across = f"across the way of a {other} {_beside(one)}"
+    by_turn = f"A {other} {_beside(one)} turned {turn} across the way of the AV"
+    if one.side == "ahead":
+        across = f"in front of an oncoming {other}"
+        by_turn = f"An oncoming {other} turned {turn} in front of the AV"
     stood = ", which stood" * one.stood
     had = ", which had priority" * (one.priority == "opponent")
     by_av: dict[str, str] = {
         "rear-end": f"A {other} behind ran into the AV, which {did}",
-        "turn": f"The AV turned {turn} in front of an oncoming {other}{had}",
+        "turn": f"The AV turned {turn} {across}{had}",
         "merging": f"The AV merged into the way of a {other} from {_from(one)}{had}",
         "lane change": f"The AV moved over into the way of a {other} {_beside(one)}",
     }
     by_other: dict[str, str] = {
         "rear-end": f"The AV {did} and ran into the {other} ahead{stood}",
-        "turn": f"An oncoming {other} turned {turn} in front of the AV",
+        "turn": by_turn,
         "merging": f"A {other} from {_from(one)} merged into the way of the AV",
         "lane change": f"A {other} {_beside(one)} moved over into the way of the AV",
         "head-on": f"An oncoming {other} came into the way of the AV",

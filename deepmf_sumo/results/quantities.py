@@ -11,7 +11,7 @@ from math import inf
 from typing import Any, Final, Literal, NamedTuple
 
 from deepmf_sumo.results import findings
-from deepmf_sumo.results.result import ContactValues, Result, attacked
+from deepmf_sumo.results.result import Result, attacked, av_contacts
 
 Value = Callable[[Result], float | None]
 Better = Literal["lower", "higher", "neither"]
@@ -160,11 +160,6 @@ def values(result: Result) -> dict[str, float | None]:
 def worth(result: Result) -> findings.Worth | None:
     """What the hit of a run is worth; None without a hit, or where that is not known."""
     return findings.worth(values(result)) if hit(result) else None
-
-
-def _contacts(result: Result) -> list[ContactValues]:
-    """Of the AV with anything, also those with vehicles that did not attack."""
-    return [one for one in result["contacts"] if one["kind"] in {"av_opponent", "av_other"}]
 
 
 def _ttc(result: Result) -> float | None:
@@ -373,12 +368,12 @@ QUANTITIES: Final = (
     ),
     Quantity(
         name="impact_mps", unit="m/s", better="higher", over="judged", in_table=False, **_SPEED,
-        value=lambda result: max((float(one["relative_mps"]) for one in _contacts(result)),
+        value=lambda result: max((float(one["relative_mps"]) for one in av_contacts(result)),
                                  default=0.0),
         definition="relative speed of the AV's worst contact with anything, 0 without a contact",
     ),
     _rate(
-        "av_collision_rate", "higher", lambda result: float(bool(_contacts(result))),
+        "av_collision_rate", "higher", lambda result: float(bool(av_contacts(result))),
         "share of the judged runs in which the AV touched anything",
         over="judged", in_table=False, rule_out=RATE,
     ),

@@ -395,6 +395,11 @@ def first_contact(result: Result) -> ContactValues | None:
     return next((one for one in contacts if one["kind"] == result["outcome"]), None)
 
 
+def av_contacts(result: Result) -> list[ContactValues]:
+    """Those of the AV, with whomever, in the order of time."""
+    return [one for one in result["contacts"] if one["kind"] in {"av_opponent", "av_other"}]
+
+
 def not_finite(values: Any, name: str = "") -> str | None:
     """Dotted name of the first number that is NaN or infinite; None if all are finite."""
     if isinstance(values, float):

@@ -447,7 +447,9 @@ class Expect(Strict):
     outcome: (
         Literal["av_opponent", "av_other", "opponent_other", "supporter_other", "none"] | None
     ) = None
-    max_contact_speed_mps: float | None = Field(default=None, ge=0)
+    max_contact_speed_mps: float | None = Field(
+        default=None, ge=0, description="of every contact of the AV, with whomever"
+    )
     metrics: dict[str, Bound] = Field(default_factory=dict)
 
 

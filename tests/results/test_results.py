@@ -195,6 +195,22 @@ def test_expectations(found, expect, sentences):
     assert episode.broken(spec.Expect.model_validate(expect), found) == sentences
 
 
+@pytest.mark.parametrize(
+    ("outcome", "contacts", "wanted"),
+    [
+        ("opponent_other", [("opponent_other", 1.0), ("av_other", 15.0)], ["15.00"]),
+        ("av_opponent", [("av_other", 15.0), ("av_opponent", 1.0)], ["15.00"]),
+        ("av_opponent", [("av_opponent", 1.0), ("av_opponent", 15.0)], ["15.00"]),
+        ("opponent_other", [("opponent_other", 12.0)], []),
+    ],
+)
+def test_every_contact_of_the_av_is_expected_to_be_slow(found, outcome, contacts, wanted):
+    found["outcome"] = outcome
+    found["contacts"] = [{"kind": kind, "relative_mps": mps} for kind, mps in contacts]
+    sentences = [f"contact speed is {mps} m/s, expected at most 5" for mps in wanted]
+    assert episode.broken(spec.Expect(max_contact_speed_mps=5), found) == sentences
+
+
 def test_failed_runs_break_no_expectation(task):
     lost = result.unfinished(task, "failed", "x")
     assert episode.broken(spec.Expect(av_collision=True), lost) == []

@@ -163,12 +163,17 @@ def in_sight_for(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> 
     return all(share >= sight.VISIBLE for share in shares)
 
 
-def on_road(rollout: Rollout, road_map: RoadMap, row: int, steps: Ints) -> Bools:
-    """(K) whether an agent is on the road at steps (K), see the module."""
+def on_road(
+    rollout: Rollout, road_map: RoadMap, row: int, steps: Ints, *, bicycles: bool = False
+) -> Bools:
+    """(K) whether an agent is on the road at steps (K), see the module.
+
+    ``bicycles``: cycle lanes are road to it.
+    """
     tracks, av = rollout.tracks, rollout.tracks.row(rollout.av_id)
     there, av_there = (
-        road.on_road(road_map, tracks.position_m[one, steps], tracks.z_m[one, steps])
-        for one in (row, av)
+        road.on_road(road_map, tracks.position_m[one, steps], tracks.z_m[one, steps], bicycles=too)
+        for one, too in ((row, bicycles), (av, False))
     )
     return np.asarray(there | ~av_there)
 

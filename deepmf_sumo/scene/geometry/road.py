@@ -77,13 +77,14 @@ def on_road(
 
 
 def against_traffic(
-    road: RoadMap, points_m: Floats, course_rad: Floats, z_m: Floats | None = None
-) -> Bools:
+    road: RoadMap, points_m: Floats, course_rad: Floats, z_m: Floats | None = None,
+    *, bicycles: bool = False,
+) -> Bools:  # fmt: skip
     """(N) points on the road where all lanes run against the course (N), by more than 120 degrees.
 
-    A point on no lane is not against any: False. Heights (N) as in `covering`.
+    A point on no lane is not against any: False. Heights (N), ``bicycles`` as in `covering`.
     """
-    under = covering(road, points_m, z_m)
+    under = covering(road, points_m, z_m, bicycles=bicycles)
     turn = np.cos(np.asarray(course_rad, float)[under.point] - under.heading_rad)
     on_it, along = np.zeros((2, len(points_m)), bool)
     on_it[under.point] = True

@@ -36,7 +36,7 @@ from deepmf_sumo.judge.metrics.av_rules import MONITORS
 from deepmf_sumo.planners._checked import blamed
 from deepmf_sumo.planners.base import Planner
 from deepmf_sumo.results import artifacts, result, signals, stored, turns
-from deepmf_sumo.results.result import Result, first_contact
+from deepmf_sumo.results.result import Result, av_contacts
 from deepmf_sumo.results.tracks import FILE as TRACKS
 from deepmf_sumo.results.tracks import write_tracks
 from deepmf_sumo.scene import (
@@ -71,16 +71,16 @@ def broken(expect: Expect, result: Result) -> list[str]:
 
 
 def _broken(expect: Expect, result: Result) -> Iterator[str]:
-    outcome = result["outcome"]
-    hit = any(contact["kind"] in {"av_opponent", "av_other"} for contact in result["contacts"])
+    outcome, contacts = result["outcome"], av_contacts(result)
+    hit = bool(contacts)
     if expect.av_collision is not None and hit != expect.av_collision:
         yield f"av_collision is {_yaml(hit)}, expected {_yaml(expect.av_collision)}"
     if expect.outcome is not None and outcome != expect.outcome:
         yield f"outcome is {outcome}, expected {expect.outcome}"
-    contact = first_contact(result)
-    fastest = expect.max_contact_speed_mps
-    if fastest is not None and contact and contact["relative_mps"] > fastest:
-        yield f"contact speed is {contact['relative_mps']:.2f} m/s, expected at most {fastest:g}"
+    most = expect.max_contact_speed_mps
+    fastest = max((one["relative_mps"] for one in contacts), default=0.0)
+    if most is not None and fastest > most:
+        yield f"contact speed is {fastest:.2f} m/s, expected at most {most:g}"
     for name, bound in expect.metrics.items():
         found = result["metrics"].get(name)
         value = found["value"] if found else None
