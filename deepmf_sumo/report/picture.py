@@ -53,7 +53,7 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
-    contact = next((one for one in rollout.contacts if one.kind == rollout.outcome), None)
+    contact = rollout.first(rollout.outcome)
     window = _window(rollout, plan, contact)
     draw_road(axes, case.road, window, AXES_IN)
     scores = plan.reason.scores if plan and plan.reason else None

@@ -123,7 +123,7 @@ class Rollout(Frozen):
             found[self.opponent_id] = "opponent"
         return {**found, self.av_id: "av"}
 
-    def first(self, kind: ContactKind) -> Contact | None:
+    def first(self, kind: str) -> Contact | None:
         """First contact of a kind."""
         return next((contact for contact in self.contacts if contact.kind == kind), None)
 

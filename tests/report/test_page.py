@@ -14,13 +14,14 @@ from deepmf_sumo.cli import main
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.report import page
 from deepmf_sumo.report.page import columns, roads
-from deepmf_sumo.report.page.replay import packed, steady, stepwise
+from deepmf_sumo.report.page.replay import packed, replay, steady, stepwise
 from deepmf_sumo.results.quantities import QUANTITIES
 from deepmf_sumo.results.statistics import rate
 from deepmf_sumo.scene import Lane, RoadMap
 
 from tests.support import worth_doubles
 from tests.support.result_folders import Folder
+from tests.support.rollout_doubles import contact_of, rollout_of, straight
 
 ASSETS = resources.files("deepmf_sumo.report.page") / "assets"
 NODE = shutil.which("node")
@@ -531,6 +532,35 @@ def test_timelines_are_those_of_each_turn_while_it_lasts(folder):
     file.write_text(json.dumps({**json.loads(file.read_text()), "turns": None}))
     whole = Parsed(page.write(folder.out)).details(0)["replay"]["timeline"]
     assert whole["gap"] != replay["timeline"]["gap"]
+
+
+@pytest.mark.parametrize(
+    ("contacts", "decisive"),
+    [
+        ([("opponent_other", 20), ("av_opponent", 70)], 70),
+        ([("av_other", 20), ("av_opponent", 70)], 70),
+        ([("opponent_other", 30), ("av_other", 20)], 20),
+        ([], None),
+    ],
+)
+def test_a_replay_goes_to_the_contact_that_the_outcome_names(contacts, decisive):
+    met = [contact_of(kind, step) for kind, step in contacts]
+    found = replay(rollout_of({"av": straight(0, 0, 10), "b": straight(0, 9, 9)}, met), np.zeros(2))
+    assert found["decisive"] == decisive
+    assert [one["step"] for one in found["contacts"]] == [step for _, step in contacts]
+
+
+@pytest.mark.sumo
+def test_the_text_about_a_moment_names_all_contacts_up_to_it():
+    met = [{"step": 20, "first": "b", "second": "parked", "speed": 1},
+           {"step": 70, "first": "av", "second": "b", "speed": 9}]  # fmt: skip
+    scene = {"now": 10, "dt": 0.1, "contacts": met, "onset": None, "turns": [], "agents": []}
+    names = {"attackersAt": "[]", "conflictAt": "null", "unseenAt": "[]", "fixed": "''",
+             "speedAt": "0", "driverAt": "''"}  # fmt: skip
+    doubles = ", ".join(f"globalThis.{name} = () => {value}" for name, value in names.items())
+    asked = f"({doubles}, [15, 30, 80].map((step) => momentText({json.dumps(scene)}, step)))"
+    said = [one.count("contact of") for one in javascript(["moment"], asked)]
+    assert said == [0, 1, 2]
 
 
 @pytest.mark.sumo

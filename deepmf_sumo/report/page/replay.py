@@ -100,6 +100,7 @@ def replay(
             for row, spans in zip(np.flatnonzero(near), unseen, strict=True)
         ],
         "contacts": [_contact(rollout, contact, origin) for contact in rollout.contacts],
+        "decisive": None if (one := rollout.first(rollout.outcome)) is None else one.step,
         "timeline": _timeline(rollout, turns),
     }
 

@@ -346,21 +346,24 @@ class _Work:
             patch.append(program)
 
     def _links(self, light: Any) -> tuple[signals.Foes, list[int]]:
-        """Which links of a light meet, and where motor vehicles turn across oncoming traffic."""
-        node = next(iter(light.getConnections()))[0].getEdge().getToNode()
-        rows: dict[int, list[int]] = {index: [] for _, _, index in light.getConnections()}
+        """Which links of a light meet, and where motor vehicles turn across oncoming traffic.
+
+        A light may have links at several junctions.
+        """
+        rows: dict[int, list[tuple[Any, int]]] = {index: [] for *_, index in light.getConnections()}
         lefts, across = [], _ACROSS[read_once(self.config.net).left_hand]
         for lane, into, index in light.getConnections():
             links = [one for one in lane.getOutgoing() if one.getToLane() == into]
-            rows[index] += [node.getLinkIndex(one) for one in links]
+            node = lane.getEdge().getToNode()
+            rows[index] += [(node, node.getLinkIndex(one)) for one in links]
             motor = any(map(lane.allows, ROAD_VEHICLES))  # cyclists wait for gaps as before
             if motor and any(one.getDirection() in across for one in links):
                 lefts.append(index)
 
         def foes(one: int, other: int) -> bool:
             return any(
-                node.areFoes(a, b) for a in rows.get(one, ()) for b in rows.get(other, ())
-                if min(a, b) >= 0
+                at is there and min(a, b) >= 0 and at.areFoes(a, b)
+                for at, a in rows.get(one, ()) for there, b in rows.get(other, ())
             )  # fmt: skip
 
         return foes, lefts

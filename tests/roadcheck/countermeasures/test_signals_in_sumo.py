@@ -164,6 +164,51 @@ def test_no_left_turn_finds_gaps_and_the_rest_goes_as_before(control, roads, tmp
 
 
 @pytest.mark.sumo
+def test_a_light_of_two_junctions_protects_the_left_turns_of_both(tmp_path):
+    places = {"w": (-150, 0), "a": (0, 0), "b": (80, 0), "e": (230, 0),
+              "an": (0, 150), "as": (0, -150), "bn": (80, 150), "bs": (80, -150)}  # fmt: skip
+    joined = 'type="traffic_light" tl="mid"'
+    nodes = "".join(
+        f'<node id="{name}" x="{x}" y="{y}" {joined * (name in "ab")}/>'
+        for name, (x, y) in places.items()
+    )
+    pairs = [
+        ("w", "a"),
+        ("a", "b"),
+        ("b", "e"),
+        *((one, f"{one}{arm}") for one in "ab" for arm in "ns"),
+    ]
+    edges = "".join(
+        f'<edge id="{start}-{to}" from="{start}" to="{to}" numLanes="2" speed="13.9"/>'
+        for pair in pairs for start, to in (pair, pair[::-1])
+    )  # fmt: skip
+    (tmp_path / "two.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (tmp_path / "two.edg.xml").write_text(f"<edges>{edges}</edges>")
+    net = tmp_path / "two.net.xml"
+    sumo_tools.run(
+        "netconvert", "-n", str(tmp_path / "two.nod.xml"), "-e", str(tmp_path / "two.edg.xml"),
+        "-o", str(net), "--no-turnarounds", "true",
+    )  # fmt: skip
+    config = tmp_path / "two.sumocfg"
+    config.write_text('<configuration><net-file value="two.net.xml"/></configuration>')
+    root = ET.parse(net).getroot()
+    lefts = [
+        int(one.get("linkIndex")) for one in root.iter("connection")
+        if one.get("tl") == "mid" and one.get("dir") == "l"
+    ]  # fmt: skip
+    assert len(lefts) == 8
+    before = runs_of(config, tmp_path)
+    text = "version: 1\nchanges: [{signal: mid, protected_left_s: 8, cycle: longer}]\n"
+    after = runs_of(built(config, text).after, tmp_path)
+    permissive = [
+        sum("g" in {state[one] for _, state in runs} for one in lefts) for runs in (before, after)
+    ]
+    assert permissive == [8, 0]
+    for link in lefts:
+        assert max(seconds for seconds, state in after if state[link] == "G") >= 8
+
+
+@pytest.mark.sumo
 def test_a_signal_without_a_program_is_refused(tmp_path):
     """As rail signals of real networks are."""
     config = four_arms(tmp_path, "static")

@@ -96,7 +96,7 @@ function moving(number) {
 }
 
 function loop(canvas, scene) {
-  const contact = scene.contacts[0]?.step ?? scene.steps - 1;
+  const contact = scene.decisive ?? scene.steps - 1;
   const first = Math.max(0, contact - BEFORE_S / scene.dt);
   const last = Math.min(scene.steps - 1, contact + AFTER_S / scene.dt);
   const bounds = nearBounds(scene, first, last);

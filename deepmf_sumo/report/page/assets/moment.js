@@ -15,11 +15,8 @@ function momentText(scene, step) {
   }
   const unseen = unseenAt(scene, step);
   if (unseen.length) parts.push(`hidden from the AV: ${unseenText(scene, unseen)}`);
-  const met = scene.contacts.find((contact) => step >= contact.step);
-  if (met)
-    parts.push(
-      `contact of ${met.first} and ${met.second} at ${met.speed.toFixed(1)} m/s relative speed`,
-    );
+  for (const { first, second, speed } of scene.contacts.filter((contact) => step >= contact.step))
+    parts.push(`contact of ${first} and ${second} at ${speed.toFixed(1)} m/s relative speed`);
   return parts.join(" · ");
 }
 

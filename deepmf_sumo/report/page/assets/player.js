@@ -135,8 +135,7 @@ class Player {
     const setSpeed = (value) => {
       playing.speed = value;
     };
-    const contact = this.scene.contacts[0],
-      { onset } = this.scene;
+    const { decisive, onset } = this.scene;
     return make(
       "div",
       { class: "controls" },
@@ -149,7 +148,7 @@ class Player {
         choice(SPEEDS, playing.speed, setSpeed, (value) => `${value} ×`),
       ),
       onset === null ? null : press("To the onset", () => this.seek(onset)),
-      contact ? press("To the contact", () => this.seek(contact.step)) : null,
+      decisive === null ? null : press("To the contact", () => this.seek(decisive)),
       press("+", () => this.camera.zoom(1.25), "Zoom in"),
       press("−", () => this.camera.zoom(0.8), "Zoom out"),
       press("Fit", () => this.fit()),
