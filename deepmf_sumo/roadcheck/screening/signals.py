@@ -17,6 +17,7 @@ from deepmf_sumo.roadcheck.screening.roads import (
 from deepmf_sumo.scene.signals import GREEN_LETTERS, YELLOW_LETTERS
 
 _OFF: Final = "off"
+_MIRRORED: Final = {"left": "right", "right": "left"}
 _SLACK_S: Final = 0.05
 _CLEAR_S: Final = 1.0
 """Times that are short by as much are errors, by less warnings."""
@@ -102,6 +103,10 @@ class _Light:
         """What it shows, a letter for each phase."""
         return "".join(one.state[way.link.index] for one in self.program.phases)
 
+    def _turn(self, way: Way) -> str:
+        """As guidelines for traffic that keeps right call it: left turns are those across it."""
+        return _MIRRORED.get(way.turn, way.turn) if self.roads.net.left_hand else way.turn
+
     def _ends(self, way: Way) -> Iterator[int]:
         """Phases at which its green has just ended."""
         shown = self._shown(way)
@@ -123,7 +128,7 @@ class _Light:
             self.found.not_judged["approach without a speed limit"] += 1
             return
         self._fast(way)
-        need = self.book.yellow_s(limit, way.turn, own_signal=self._own_signal(way))
+        need = self.book.yellow_s(limit, self._turn(way), own_signal=self._own_signal(way))
         shown = self._shown(way)
         for end in self._ends(way):
             phases = []
@@ -230,8 +235,8 @@ class _Light:
         return None
 
     def _left(self, way: Way) -> None:
-        """A left turn (where traffic keeps left a right turn) that looks for gaps."""
-        if way.turn != ("right" if self.roads.net.left_hand else "left"):
+        """A turn across oncoming traffic that looks for gaps."""
+        if self._turn(way) != "left":
             return
         towards = [one for one in self.ways if self._comes_towards(way, one)]
         lanes, fastest, where = 0, 0.0, 0

@@ -24,7 +24,7 @@ from deepmf_sumo.results.reader import Run
 from deepmf_sumo.results.result import IDENTITY, Result
 from deepmf_sumo.spec import Expect, Spec
 from deepmf_sumo.spec import tasks as tasks_module
-from deepmf_sumo.spec.tasks import Task, is_run_id
+from deepmf_sumo.spec.tasks import Draw, Task, is_run_id
 from deepmf_sumo.study.sweep import episode, fork, shards, watch
 from deepmf_sumo.study.sweep.inputs import Input, fingerprinted, of_exporter
 from deepmf_sumo.study.sweep.limits import TIMEOUT_S
@@ -110,13 +110,14 @@ def _results(store: Store, without: Collection[str]) -> Iterable[Result]:
 
 
 def _task_of(store: Store, result: Result) -> list[Task]:
-    """The run as it would be planned today; none where its spec cannot be read any more."""
+    """The run as it would be planned today; none where that cannot be told any more."""
     file = store.runs / result["run_id"] / stored.SPEC
     try:
         spec = spec_module.load(file)
-    except DeepmfError:
+        draw = Draw(**result["draw"]) if "draw" in result else None
+    except (DeepmfError, TypeError):  # or what is known of its draw is damaged
         return []
-    return [Task(run_id=result["run_id"], spec=spec, scene=result["scene"])]
+    return [Task(run_id=result["run_id"], spec=spec, scene=result["scene"], draw=draw)]
 
 
 def _order(out: Path) -> dict[str, int]:

@@ -1,13 +1,16 @@
 """Each rule on a network in which one thing is wrong; sound ones have no such finding."""
 
 import re
+from collections import Counter
 from types import SimpleNamespace
 
 import pytest
 import sumolib
 
 from deepmf_sumo.cli import _moments
-from deepmf_sumo.roadcheck.screening import GUIDELINES, right_of_way, screen
+from deepmf_sumo.roadcheck.screening import GUIDELINES, right_of_way, screen, signals
+from deepmf_sumo.roadcheck.screening.findings import Judged
+from deepmf_sumo.roadcheck.screening.roads import opened
 from deepmf_sumo.sumo.network import sumo_tools
 
 PHASE = '<phase duration="32" state="GGGrrrrrGGGrrrrr" name="n-s straight"/>'
@@ -29,6 +32,37 @@ def test_sound_networks(changed):
     assert rules(changed("highway")) == {"speed_step"}, "120 to 80 km/h on the off-ramp"
     assert rules(changed("four_way")) == {"intergreen", "permissive_left"}
     assert rules(changed("arterial")) == {"intergreen", "permissive_left"}, "3 s and no red"
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize(("book", "mps"), [("ite", 14), ("rilsa", 17)])
+def test_a_network_and_its_mirror_image_have_the_same_yellows(tmp_path, book, mps):
+    """Left turns of the one are right turns of the other, where traffic keeps left."""
+    arms = {"w": (-200, 0), "e": (200, 0), "n": (0, 200), "s": (0, -200)}
+    nodes = "".join(f'<node id="{arm}" x="{x}" y="{y}"/>' for arm, (x, y) in arms.items())
+    edges = "".join(
+        f'<edge id="{start}{to}" from="{start}" to="{to}" numLanes="3" speed="{mps}"/>'
+        for arm in arms for start, to in ((arm, "m"), ("m", arm))
+    )  # fmt: skip
+    middle = '<node id="m" x="0" y="0" type="traffic_light"/>'
+    (tmp_path / "a.nod.xml").write_text(f"<nodes>{middle}{nodes}</nodes>")
+    (tmp_path / "a.edg.xml").write_text(f"<edges>{edges}</edges>")
+    found = []
+    for name, options in (("r", ()), ("l", ("--lefthand",))):
+        sumo_tools.run(
+            "netconvert", "-n", str(tmp_path / "a.nod.xml"), "-e", str(tmp_path / "a.edg.xml"),
+            "-o", str(tmp_path / f"{name}.net.xml"), "--no-turnarounds", "true",
+            "--tls.yellow.time", "3", *options,
+        )  # fmt: skip
+        roads, judged = opened(tmp_path / f"{name}.net.xml"), Judged()
+        signals.judge(roads, GUIDELINES[book], judged)
+        turns = {way.said: way.turn for ways in roads.ways.values() for way in ways}
+        yellows = [one for one in judged.cases if one.rule == "yellow"]
+        short = Counter(turns[one.said.partition(" has ")[0]] for one in yellows)
+        found.append((short["straight"], short["left"], short["right"]))
+    straight, left, right = found[0]
+    assert straight > 0
+    assert found[1] == (straight, right, left)
 
 
 @pytest.mark.sumo

@@ -1,11 +1,13 @@
 """The runs of a folder are known again by the spec that lies beside them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
 from deepmf_sumo import spec
+from deepmf_sumo.results import result
 from deepmf_sumo.results.folder import Store
 from deepmf_sumo.spec import tasks
 from deepmf_sumo.study.sweep import batch
@@ -23,8 +25,8 @@ def again(tmp_path, planned):
         folder = store.runs / task.run_id
         folder.mkdir(parents=True)
         (folder / "spec.yaml").write_text(yaml.safe_dump(task.resolved(), sort_keys=False))
-    results = [{"run_id": task.run_id, "scene": task.scene} for task in planned]
-    return [one for result in results for one in batch._task_of(store, result)]
+    results = [result.unfinished(task, "failed", "made up") for task in planned]
+    return [one for found in results for one in batch._task_of(store, found)]
 
 
 def keys(found):
@@ -57,5 +59,14 @@ def test_a_spec_that_cannot_be_read_any_more_is_no_run(tmp_path):
     planned = tasks.plan([spec.load(SCENARIOS[0])], tmp_path)
     assert len(again(tmp_path, planned)) == 1
     (tmp_path / "runs" / planned[0].run_id / "spec.yaml").write_text("version: 99\n")
-    result = {"run_id": planned[0].run_id, "scene": planned[0].scene}
-    assert batch._task_of(Store(tmp_path), result) == []
+    found = {"run_id": planned[0].run_id, "scene": planned[0].scene}
+    assert batch._task_of(Store(tmp_path), found) == []
+
+
+def test_a_run_of_a_moment_that_was_drawn_has_its_key_again(tmp_path):
+    draw = tasks.Draw(drawn="promising", draw=3, probability=0.2, pool=60)
+    [task] = tasks.plan([spec.load(SCENARIOS[0])], tmp_path)
+    assert keys(again(tmp_path, [replace(task, draw=draw)])) == keys([replace(task, draw=draw)])
+    assert keys([replace(task, draw=draw)]) != keys([task])
+    damaged = {"run_id": task.run_id, "scene": task.scene, "draw": {"drawn": "promising"}}
+    assert batch._task_of(Store(tmp_path), damaged) == []
