@@ -21,7 +21,7 @@ import numpy as np
 from deepmf_sumo import __version__, files, plugins
 from deepmf_sumo.errors import PluginError
 from deepmf_sumo.exporters.base import Exportable
-from deepmf_sumo.scene import Bools, Floats, RoadMap, Rollout
+from deepmf_sumo.scene import Bools, Floats, RoadMap, Rollout, agent_ids
 from deepmf_sumo.scene.geometry import frames, road
 from deepmf_sumo.scene.geometry.ground import off_level
 from deepmf_sumo.scene.geometry.road import Covering
@@ -111,9 +111,11 @@ class _Step(NamedTuple):
         return frames.to_local(tracks.position_m[:, self.step], self.place_m[0], heading)
 
     def near(self, *kinds: str) -> int:
-        """Number of the others of some kinds near the AV."""
-        of_kind = np.isin(self.rollout.tracks.kinds, kinds)
-        return int((self.there & of_kind & (np.hypot(*self.around_m.T) <= _NEAR_M)).sum())
+        """Number of the others of some kinds near the AV; what bends is one, not its parts."""
+        tracks = self.rollout.tracks
+        near = self.there & np.isin(tracks.kinds, kinds)
+        near &= np.hypot(*self.around_m.T) <= _NEAR_M
+        return len(agent_ids.wholes(tracks.ids[row] for row in np.flatnonzero(near)))
 
     def under(self) -> Covering:
         """The lanes under the AV."""
@@ -170,7 +172,7 @@ def _lane_count(at: _Step) -> int | None:
 
 
 def _density(at: _Step) -> str:
-    near = at.near("vehicle", "cyclist")
+    near = at.near("vehicle", "cyclist", "other")
     return next(name for most, name in _DENSITY if near <= most)
 
 

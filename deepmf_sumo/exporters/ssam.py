@@ -22,7 +22,7 @@ from pydantic import Field
 from deepmf_sumo import files, plugins, tables
 from deepmf_sumo.exporters.base import Exportable
 from deepmf_sumo.judge.metrics.traffic_conflicts import RoadUserMotions
-from deepmf_sumo.scene import Contact, Floats, Rollout, Tracks
+from deepmf_sumo.scene import Contact, Floats, Rollout, Tracks, agent_ids
 from deepmf_sumo.scene.geometry import frames
 
 FILE: Final = "ssam/"
@@ -185,7 +185,10 @@ def _accelerations(motions: RoadUserMotions) -> Floats:
 
 
 def _vehicles(rollout: Rollout) -> str:
-    """SSAM's number of each road user, in the order of ``tracks.csv.gz``."""
+    """SSAM's number of each road user, in the order of ``tracks.csv.gz``.
+
+    A vehicle that bends is several boxes: SSAM, which does not know that, counts each.
+    """
     tracks, roles = rollout.tracks, rollout.roles
     rows = [
         {
@@ -193,6 +196,7 @@ def _vehicles(rollout: Rollout) -> str:
             "id": agent,
             "kind": tracks.kinds[row],
             "role": roles.get(agent, "other"),
+            "part_of": whole if (whole := agent_ids.whole_of(agent)) != agent else "",
             "length_m": float(tracks.size_m[row, 0]),
             "width_m": float(tracks.size_m[row, 1]),
         }

@@ -6,6 +6,7 @@ articulated bus) is several boxes: the first has the vehicle's id, those behind 
 ``ID part 2`` and so on.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 from deepmf_sumo.scene.scene import AgentId
@@ -33,3 +34,8 @@ def whole_of(agent: AgentId) -> AgentId:
     """The vehicle that an agent is a part of; itself if it is none."""
     vehicle, part, number = agent.rpartition(_PART)
     return vehicle if part and number.isdecimal() else agent
+
+
+def wholes(agents: Iterable[AgentId]) -> tuple[AgentId, ...]:
+    """The road users that agents are, or are parts of, each once and in their order."""
+    return tuple(dict.fromkeys(map(whole_of, agents)))

@@ -26,6 +26,7 @@ from deepmf_sumo.scene import (
     Ints,
     RoadMap,
     Rollout,
+    agent_ids,
 )
 from deepmf_sumo.scene.geometry import sight
 from deepmf_sumo.scene.geometry.lane_map import width_m
@@ -85,6 +86,7 @@ def replay(
     """
     tracks = rollout.tracks
     near = _near(rollout)
+    shown = [tracks.ids[row] for row in np.flatnonzero(near)]
     roles = rollout.roles
     unseen = _unseen(rollout, np.flatnonzero(near), road or RoadMap(lanes={}))
     return {
@@ -93,7 +95,7 @@ def replay(
         "now": rollout.now,
         "dt": rollout.dt_s,
         "turn": FULL_TURN,
-        "hidden": int(tracks.agents - near.sum()),
+        "hidden": len({*agent_ids.wholes(tracks.ids)} - {*agent_ids.wholes(shown)}),
         "agents": [
             _agent(rollout, int(row), roles.get(tracks.ids[row], "other"), origin)
             | ({"unseen": spans} if spans else {})

@@ -11,7 +11,7 @@ import numpy as np
 from deepmf_sumo.results.risk import elements
 from deepmf_sumo.results.risk.elements import Element
 from deepmf_sumo.results.risk.places import Places, Spot
-from deepmf_sumo.scene import Floats, RoadMap, Tracks
+from deepmf_sumo.scene import Floats, RoadMap, Tracks, agent_ids
 from deepmf_sumo.scene.geometry import frames
 from deepmf_sumo.scene.geometry.ground import Ground, ground_of, off_level
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS
@@ -175,7 +175,7 @@ def _near(tracks: Tracks, av: int, step: int, road: RoadMap) -> int:
     there = tracks.valid[:, step] & (np.hypot(*(here_m - here_m[av]).T) <= NEAR_M)
     there &= ~off_level(road, here_m[av], float(z_m[av]), here_m, z_m)
     there[av] = False
-    return int(there.sum())
+    return len(agent_ids.wholes(tracks.ids[row] for row in np.flatnonzero(there)))
 
 
 def _at_limit(speed_mps: Floats, spots: Sequence[Spot], places: Places) -> bool:

@@ -22,21 +22,22 @@ Foes = Callable[[int, int], bool]
 
 @dataclass(frozen=True, slots=True)
 class NewPhase:
-    """A phase; ``added_s``: on top of the times that its element, if it has one, names."""
+    """A phase.
+
+    Attributes:
+        added_s: on top of the times that its element, if it has one, names.
+        actuated: the light chooses its length; a static program ignores ``minDur``.
+    """
 
     state: str
     duration_s: float
     element: ET.Element | None = None
     added_s: float = 0.0
+    actuated: bool = False
 
     def green(self, link: int) -> bool:
         """Whether a link may go."""
         return self.state[link] in GREEN_LETTERS
-
-    @property
-    def actuated(self) -> bool:
-        """Whether the light chooses its length."""
-        return self.element is not None and self.element.get("minDur") is not None
 
     @property
     def least_s(self) -> float:
@@ -120,8 +121,12 @@ def phases(name: str, program: ET.Element) -> list[NewPhase]:
             " of phases, which is what can be changed; change it in netedit."
         )
     return [
-        NewPhase(one.get("state", ""), float(one.get("duration", "0")), one) for one in elements
-    ]
+        NewPhase(
+            one.get("state", ""), float(one.get("duration", "0")), one,
+            actuated=kind != "static" and one.get("minDur") is not None,
+        )
+        for one in elements
+    ]  # fmt: skip
 
 
 def write(program: ET.Element, cycle: Sequence[NewPhase]) -> None:

@@ -12,7 +12,7 @@ from deepmf_sumo.files import cache_folder
 from deepmf_sumo.results import stored
 from deepmf_sumo.results.reader import Results, Run
 from deepmf_sumo.results.result import Result
-from deepmf_sumo.scene import AgentId, Contact, Floats, Plan, Rollout
+from deepmf_sumo.scene import AgentId, Contact, Floats, Plan, Rollout, agent_ids
 from deepmf_sumo.spec import FromNetwork, Spec, WantedPeople, tasks
 from deepmf_sumo.spec.tasks import Task
 
@@ -175,4 +175,4 @@ def _others(rollout: Rollout, hit: Contact) -> tuple[AgentId, ...]:
         there[:, None] & there[pair], np.hypot(apart[..., 0], apart[..., 1]), np.inf
     ).min(axis=(1, 2))
     rows = [row for row in np.argsort(away, kind="stable") if there[row].any() and row not in pair]
-    return tuple(tracks.ids[row] for row in rows)
+    return agent_ids.wholes(tracks.ids[row] for row in rows)

@@ -20,7 +20,7 @@ from deepmf_sumo.results import findings, quantities, stored, tracks
 from deepmf_sumo.results import result as result_module
 from deepmf_sumo.results.findings import Worth
 from deepmf_sumo.results.result import Result
-from deepmf_sumo.scene import DT_S, AgentId, Floats
+from deepmf_sumo.scene import DT_S, AgentId, Floats, agent_ids
 from deepmf_sumo.spec import Spec
 from deepmf_sumo.spec.tasks import Task
 from deepmf_sumo.study.shrink.candidate import (
@@ -161,10 +161,11 @@ def _judged(
     hit = next(one for one in result["contacts"] if one["kind"] == "av_opponent")
     metrics = quantities.values(result)
     shown = slice(found.now, hit["step"] + 1)
+    there = np.flatnonzero(found.tracks.valid[:, shown].any(axis=1))
     return replace(
         blank,
         contact=blank.candidate.begin + hit["step"] - found.now,
-        road_users=int(found.tracks.valid[:, shown].any(axis=1).sum()),
+        road_users=len(agent_ids.wholes(found.tracks.ids[row] for row in there)),
         accident=metrics.get("accident_type"),
         worth=findings.worth(metrics),
         feasible=bool(metrics.get("feasible")),

@@ -137,6 +137,17 @@ def test_an_actuated_light_keeps_its_greens():
     assert (cycle[0].get("minDur"), cycle[0].get("maxDur")) == ("5", "50")
 
 
+def test_a_static_light_ignores_the_least_times_of_its_phases():
+    """As SUMO does: the cycle stays as long as it is."""
+    cycle = program("31:Gr 3:yr 31:rG 3:ry")
+    for phase in (cycle[0], cycle[2]):
+        phase.set("minDur", "5")
+        phase.set("maxDur", "50")
+    _, found = signals.changed("a", cycle, Change(signal="a", yellow_s=4.0), (), lambda *_: False)
+    signals.write(cycle, found)
+    assert [one.get("duration") for one in cycle] == ["30", "4", "30", "4"]
+
+
 def test_a_green_of_its_own_ends_with_yellow_where_the_program_has_none():
     left = {"lefts": [2], "foes": [(2, 1)], "protected_left_s": 8.0}
     assert after("25:GGg 25:rrr", **left) == "14:GGr 25:rrr 8:rrG 3:rry"
