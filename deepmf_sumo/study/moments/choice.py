@@ -30,10 +30,6 @@ from deepmf_sumo.sumo.simulation.traffic_survey import EVERY_S, Ints, Sightings,
 ALONG: Final = "along"
 _CLOSER: Final = 1e-3
 """Weight of how close an encounter is: among equals alone."""
-_MANY: Final = 5
-"""Of vehicles around the AV: among more hardly an attack finds anything."""
-_CROWD: Final = 3
-"""What it costs to have many around: more than any encounter lacks."""
 
 Place = tuple[int, int]
 """An edge, and the next one if the vehicle gets there, else -1."""
@@ -148,9 +144,8 @@ class _Spread:
     """The edge that was chosen least often is next, and of its places one at a rare time.
 
     With ``both``, junctions that were chosen least often come after edges, and then the place and
-    the moment with the least sum of how often that time was chosen and what it lacks: of its
-    encounter 0 where it comes when it suits, 1 at another time of the attack, 2 without any, and
-    more in a crowd.
+    the moment with the least sum of how often that time was chosen and what its encounter lacks: 0
+    where it comes when it suits, 1 at another time of the attack, 2 without any.
 
     Where encounters alone are preferred, the junction that was chosen least often comes first,
     there places with encounters, and at each place the closest encounter; edges of no junction are
@@ -164,18 +159,13 @@ class _Spread:
         self._sightings, self._turns, self._wish = sightings, turns, wish
         self._met, self._prefer = met, wish.prefer
         self._able = opponents(sightings)
-        self._lacks = met.kind
-        if self._prefer == "both":
-            crowd = around(sightings, self._able, rows) > _MANY
-            self._lacks = met.kind.copy()
-            self._lacks[rows] += _CROWD * crowd
         self._used = _Used()
         self._span = _spans(sightings, wish, rows)
         self._taken = np.zeros(wish.found + len(wish.at_s), int)
         self._leaves = _leave(sightings, wish.duration_s)
         self._left: dict[Place, Ints] = {}
         self._spans: dict[Place, Ints] = {}
-        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, what it lacks
+        self._chances: dict[Place, tuple[Ints, Ints]] = {}  # with `both`: time, kind of encounter
         self._kind: dict[Place, int] = {}
         shuffled = rng.permutation(rows)
         near = gets_there(sightings, wish.duration_s)[shuffled]
@@ -224,7 +214,7 @@ class _Spread:
         cost += [len(self._used.vehicles.get(int(one), ())) for one in vehicle]
         rank = self._met.rank[rows]
         if self._prefer == "both":
-            cost += self._lacks[rows] + _CLOSER * rank
+            cost += self._met.kind[rows] + _CLOSER * rank
         if self._prefer == "encounters":
             cost[rank > rank.min()] = np.inf
         best = int(cost.argmin())
@@ -237,17 +227,17 @@ class _Spread:
             del self._left[place]
         if self._too_soon(row):
             return None
-        count = self._around(row, REACH_M)
+        count = around(self._sightings, self._able, row)
         if not count and not self._wish.people and not self._comes_near(row):
             return None
         self._note(row, place)
         return self._moment(row, place, count)
 
     def _note_chances(self, place: Place) -> None:
-        """At which times moments are left at a place, and what each lacks."""
+        """At which times what kind of encounter is left at a place."""
         if self._prefer == "both":
             rows = self._left[place]
-            pairs = np.unique(np.column_stack([self._span[rows], self._lacks[rows]]), axis=0)
+            pairs = np.unique(np.column_stack([self._span[rows], self._met.kind[rows]]), axis=0)
             self._chances[place] = pairs[:, 0], pairs[:, 1]
 
     def _too_soon(self, row: int) -> bool:
@@ -261,11 +251,8 @@ class _Spread:
         return (
             (self._prefer != "spread" or bool(self._wish.again))
             and bool(self._met.kind[row] != NONE)
-            and self._around(row, FROM_M) > 0
+            and around(self._sightings, self._able, row, FROM_M) > 0
         )
-
-    def _around(self, row: int, reach_m: float) -> int:
-        return int(around(self._sightings, self._able, np.array([row]), reach_m)[0])
 
     def _note(self, row: int, place: Place) -> None:
         used, sightings = self._used, self._sightings

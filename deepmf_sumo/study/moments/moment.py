@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import shapely
-from numpy.typing import NDArray
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.scene import DT_S, AgentId, Bools, Floats
@@ -33,10 +31,6 @@ _FIRST_S: Final = 2
 """No person gets onto its way sooner."""
 _SETS_OFF_S: Final = 1.0
 _EITHER_S: Final = 0.01
-_AT_A_TIME: Final = 50_000
-"""Sightings that are compared with those around them: bounds the memory."""
-_APART_MPS: Final = 1e6
-"""Sightings of different times are moved apart, so that one search looks at all times."""
 _NEAR_M: Final = 1.0
 """Half of the AV and half of a person."""
 _HURRIES_MPS: Final = {
@@ -242,34 +236,15 @@ def opponents(sightings: Sightings) -> Bools:
     return able
 
 
-def around(sightings: Sightings, able: Bools, rows: Ints, reach_m: float = REACH_M) -> Ints:
-    """(R) number of able vehicles within reach of the vehicle of each row, at that moment."""
-    count = np.zeros(len(rows), np.int64)
-    order = np.argsort(sightings.time_s[rows], kind="stable")
-    for part in np.split(order, range(_AT_A_TIME, len(order), _AT_A_TIME)):
-        count[part] = _around(sightings, able, rows[part], reach_m)
-    return count
-
-
-def _around(sightings: Sightings, able: Bools, rows: Ints, reach_m: float) -> Ints:
-    """The same of rows in the order of their times."""
-    time_s, place_m = sightings.time_s, sightings.position_m
-    begin, end = (
-        np.searchsorted(time_s, time_s[rows[0]]),
-        np.searchsorted(time_s, time_s[rows[-1]], "right"),
-    )
-    others = begin + np.flatnonzero(able[begin:end])
-
-    def points(of: Ints) -> NDArray[np.object_]:
-        x, y = place_m[of].T
-        return shapely.points(x + _APART_MPS * (time_s[of] - time_s[begin]), y)
-
-    tree = shapely.STRtree(points(others))
-    one, other = tree.query(points(rows), predicate="dwithin", distance=reach_m)
-    row, other = rows[one], others[other]
-    near = (row != other) & (np.hypot(*(place_m[row] - place_m[other]).T) < reach_m)
-    near[near] = ~off_level(sightings, row[near], other[near])
-    return np.bincount(one[near], minlength=len(rows))
+def around(sightings: Sightings, able: Bools, row: int, reach_m: float = REACH_M) -> int:
+    """Number of able vehicles within reach of the vehicle of a row, at that moment."""
+    time_s = sightings.time_s
+    begin, end = np.searchsorted(time_s, time_s[row]), np.searchsorted(time_s, time_s[row], "right")
+    away = np.hypot(*(sightings.position_m[begin:end] - sightings.position_m[row]).T)
+    near = (away < reach_m) & able[begin:end]
+    near[row - begin] = False
+    others = begin + np.flatnonzero(near)
+    return int((~off_level(sightings, np.full(len(others), row), others)).sum())
 
 
 def off_level(sightings: Sightings, rows: Ints, others: Ints) -> Bools:

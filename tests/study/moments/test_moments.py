@@ -312,9 +312,9 @@ def two_roads(z_m, ground):
 def test_a_vehicle_on_the_bridge_above_is_not_around(z_m, near):
     seen = two_roads(z_m, bridge())
     able = opponents(seen)
-    assert around(seen, able, np.array([0])) == int(near)
+    assert around(seen, able, 0) == int(near)
     assert accompanied(seen).all() == accompanied(seen).any() == near
-    assert around(two_roads(z_m, None), able, np.array([0])) == 1, "a network without levels"
+    assert around(two_roads(z_m, None), able, 0) == 1, "a network without levels"
 
 
 def test_a_vehicle_farther_up_the_slope_is_around():
@@ -325,7 +325,7 @@ def test_a_vehicle_farther_up_the_slope_is_around():
     z_m = 20.0 + 0.1 * seen.position_m[:, 0]
     seen = replace(seen, z_m=z_m, ground=ground)
     assert np.ptp(z_m) == pytest.approx(4.0)
-    assert around(seen, opponents(seen), np.array([0])) == 1
+    assert around(seen, opponents(seen), 0) == 1
     assert accompanied(seen).all()
 
 
