@@ -159,20 +159,6 @@ def described(
     )
 
 
-def conflict_of(rollout: Rollout, road: RoadMap) -> tuple[ConflictType, Side, Who]:
-    """Of an episode with a hit: its conflict, the opponent's side, and which of the two turned.
-
-    Raises ValueError without a hit.
-    """
-    contact = rollout.first("av_opponent")
-    if contact is None:
-        raise ValueError("the opponent did not hit the AV")
-    meeting = Meeting.of(rollout.tracks, (contact.first_id, contact.second_id), contact.step, road)
-    priority = _by_map(meeting) if meeting.type == "merging" else ""
-    side = meeting.side(max(rollout.now, meeting.first))
-    return meeting.type, side, _joining(meeting.turned(), meeting.type, priority)
-
-
 def _joining(turned: Who, conflict: ConflictType, priority: Who) -> Who:
     """Of merging roads the one without priority joins the other, where that is known."""
     if conflict != "merging" or not priority:

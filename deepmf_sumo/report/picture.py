@@ -13,8 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Side
-from deepmf_sumo.judge.hits import conflict_of
+from deepmf_sumo.judge.conflict_types import ACROSS, Side
+from deepmf_sumo.judge.hits import Hit, hit_of
+from deepmf_sumo.judge.metrics import Episode
 from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
 from deepmf_sumo.report.map_layers import LAYERS, features
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
@@ -233,8 +234,9 @@ def _title(rollout: Rollout, case: Case, contact: Contact | None) -> str:
     if rollout.outcome == "av_opponent":
         row = rollout.tracks.row(contact.second_id)
         other = road_user(rollout.tracks.kinds[row], rollout.tracks.size_m[row])
-        conflict, side, turned = conflict_of(rollout, case.road)
-        what = came_from(other.noun, side) if other.person else happened(conflict, side, turned)
+        hit = hit_of(Episode(rollout, case))
+        assert hit is not None
+        what = came_from(other.noun, hit.side) if other.person else happened(hit)
         what += ": hit"
     return f"{what} after {time_s:.1f} s at {contact.relative_mps:.0f} m/s{where}\n{case.name}"
 
@@ -245,8 +247,9 @@ def came_from(noun: str, side: Side) -> str:
     return f"{_capital(noun)} from {where}"
 
 
-def happened(conflict: ConflictType, side: Side, turned: str) -> str:
+def happened(hit: Hit) -> str:
     """A conflict in a few words."""
+    conflict, side, turned = hit.conflict, hit.side, hit.turned
     turn = conflict.partition(" ")[0].capitalize()
     if conflict in ACROSS:
         by_av = turned == "AV"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.judge.hits import conflict_of, hit_of
+from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.report.picture import happened
 from deepmf_sumo.scene.geometry import polylines
@@ -86,7 +86,7 @@ def test_who_turns_across_the_lane_beside_waits_for_it(
         assert (hit.side, hit.priority) == (turn, "opponent")
         assert (said.av_error, said.opponent_error) == ("took_priority", "")
         title = f"{turn.capitalize()} turn of the AV across the opponent"
-        assert happened(*conflict_of(found.rollout, road)) == title
+        assert happened(hit) == title
     assert "A" in hits
     assert len(hits) >= 3
 

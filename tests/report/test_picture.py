@@ -1,15 +1,21 @@
 import struct
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import shapely
 
 from deepmf_sumo.deepmf.policy import Settings, build
+from deepmf_sumo.judge.hits import hit_of
+from deepmf_sumo.judge.metrics import Episode
 from deepmf_sumo.report.map_layers import junctions
-from deepmf_sumo.report.picture import came_from, draw, happened
-from deepmf_sumo.scene import Contact, Lane, RoadMap
+from deepmf_sumo.report.picture import _title, came_from, draw, happened
+from deepmf_sumo.scene import Contact, Lane, RoadMap, SignalState
+from deepmf_sumo.scene.geometry import polylines
 
+from tests.support.drawn_people import Drawn, episode
 from tests.support.one_attacker import plan_of
 from tests.support.predictor_doubles import Doubles, view_of
 from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
@@ -115,7 +121,48 @@ def test_junctions_are_filled_and_islands_are_not():
     ],
 )
 def test_a_title_says_what_happened(conflict, side, turned, words):
-    assert happened(conflict, side, turned) == words
+    assert happened(SimpleNamespace(conflict=conflict, side=side, turned=turned)) == words
+
+
+def test_a_title_has_the_lights_in_mind_as_the_report_has():
+    """The opponent runs a red light where its lane, without lights, has priority over the AV's."""
+
+    def lane(name, points, **named):
+        line = np.array(points, float)
+        return Lane(id=name, kind="street", centre_m=line, z_m=np.zeros(len(line)), width_m=3.5,
+                    **named)  # fmt: skip
+
+    angle = np.linspace(0, np.pi / 2, 15)
+    bend = np.column_stack([10 - 10 * np.cos(angle), 10 * np.sin(angle) - 10])
+    main, side = [[-200, 0], [10, 0], [200, 0]], [[0, -200], *bend, [200, 0]]
+    road = RoadMap(lanes={one.id: one for one in (
+        lane("west", [[-200, 0], [-10, 0]], next=("in1",)),
+        lane("in1", [[-10, 0], [10, 0]], interpolating=True, previous=("west",), next=("east",)),
+        lane("south", [[0, -200], [0, -10]], next=("in2",)),
+        lane("in2", bend, interpolating=True, previous=("south",), next=("east",),
+             gives_way_to=("in1",)),
+        lane("east", [[10, 0], [200, 0]], previous=("in1", "in2")),
+    )})  # fmt: skip
+
+    def along(line, speed, begin_m):
+        gone_m = begin_m + speed * (np.arange(91) - 10) * 0.1
+        place, heading = polylines.points_at(np.array(line, float), gone_m)
+        return np.column_stack([place, np.unwrap(heading)])
+
+    av = along(side, 7.0, 176.0)
+    told = set()
+    for ahead_m in range(-12, 13):
+        opponent = Drawn(along(main, 9.0, 168.0 + ahead_m), "vehicle", (4.8, 2.0, 1.5))
+        one = episode(av, opponent, road=road)
+        simulated = one.rollout.tracks.steps - 1 - one.rollout.now
+        lights = ({"in1": SignalState.STOP, "in2": SignalState.GO},) * simulated
+        rollout = replace(one.rollout, signals=lights)
+        hit = hit_of(Episode(rollout, one.case)) if rollout.contacts else None
+        if hit is None or hit.conflict != "merging":
+            continue
+        assert (hit.ran_red, hit.turned) == (True, "opponent")
+        told.add(_title(rollout, one.case, rollout.contacts[0]).partition(":")[0])
+    assert told == {"Merging, opponent from the left"}
 
 
 @pytest.mark.parametrize(
