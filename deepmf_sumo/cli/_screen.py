@@ -379,7 +379,7 @@ def tell_attack(row: dict[str, Any]) -> None:
         escape(
             f"{row['begin_s']:.1f} to {row['end_s']:.1f} s: {row['opponent']} on {row['av']}, "
             f"{row['ended']}, "
-            f"least gap {row['min_gap_m']:.1f} m"
+            f"least gap {_gap(row, 1)} m"
         ),
         soft_wrap=True,
     )
@@ -442,6 +442,11 @@ def show_session(done: Attached, avs: Sequence[str], out: Path) -> None:
         )
 
 
+def _gap(row: dict[str, Any], digits: int) -> str:
+    gap_m = row["min_gap_m"]
+    return "-" if gap_m is None else f"{gap_m:.{digits}f}"
+
+
 def _live_cells(row: dict[str, Any]) -> list[str]:
     contact = row["contact"]
     return [
@@ -451,7 +456,7 @@ def _live_cells(row: dict[str, Any]) -> list[str]:
         f"{row['begin_s']:.1f}",
         f"{row['end_s']:.1f}",
         row["ended"],
-        f"{row['min_gap_m']:.2f}",
+        _gap(row, 2),
         "-" if contact is None else f"{contact['relative_mps']:.1f}",
     ]
 

@@ -29,7 +29,7 @@ from deepmf_sumo.live.alpasim_messages import CALLS, MESSAGES, SERVICE
 from deepmf_sumo.live.attacker import AttackRequest, policy_of, spec_of, triggers_of
 from deepmf_sumo.live.record import SessionRecord, Setting
 from deepmf_sumo.live.session import LiveAttack
-from deepmf_sumo.scene import HISTORY_STEPS, AgentId, Driver, RoadMap, SignalState, TurnRules
+from deepmf_sumo.scene import HISTORY_STEPS, AgentId, Driver, RoadMap, TurnRules
 from deepmf_sumo.scene.policy import Policy
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 from deepmf_sumo.sumo.simulation.attack_schedule import AttackSchedule
@@ -108,8 +108,7 @@ class AttackedScene:
         record = self._record
         if record is None or record.step <= record.now:
             return None
-        lights: list[dict[str, SignalState]] = [{}] * (record.step - record.now)
-        rollout = record.rollout("time", signals=lights)
+        rollout = record.rollout("time")  # it is not told what lights show
         if not rollout.turns:
             return None
         first = min(one.first_step for one in rollout.turns)

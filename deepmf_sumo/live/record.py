@@ -6,6 +6,7 @@ the reason why it has no value.
 """
 
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -327,7 +328,10 @@ class SessionRecord:
 
 
 def row(attack: LiveAttack, number: int, simulation: int) -> dict[str, Any]:
-    """One attack as plain values; times are those of the simulation of this number."""
+    """One attack as plain values; times are those of the simulation of this number.
+
+    ``min_gap_m`` is None where the two were never there together.
+    """
     rollout = attack.rollout
     contact = rollout.first("av_opponent")
     plans = [plan.reason for plan in rollout.plans if plan.reason]
@@ -342,7 +346,7 @@ def row(attack: LiveAttack, number: int, simulation: int) -> dict[str, Any]:
         "end_s": round(attack.end_s, 3),
         "ended": rollout.ended,
         "contact": None if contact is None else _contact(contact, attack),
-        "min_gap_m": round(turn.gap_m, 3),
+        "min_gap_m": round(turn.gap_m, 3) if math.isfinite(turn.gap_m) else None,
         "others_touched": sorted(
             {one.second_id for one in rollout.contacts if one.kind == "opponent_other"}
         ),

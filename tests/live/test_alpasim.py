@@ -119,6 +119,8 @@ def test_the_ego_is_where_it_is_told_to_be(served, tmp_path):
     assert served.server.attacks[0]["opponent"] == "leader"
     (run,) = Results.open(tmp_path / "live").runs
     rollout = run.rollout
+    assert not rollout.signals
+    assert run.result["metrics"]["red_light"]["value"] is None, "nobody told what lights show"
     contact = rollout.first("av_opponent")
     begin_s = served.server.attacks[0]["begin_s"]
     assert begin_s + 0.1 * (contact.step - rollout.now) == pytest.approx(touched_s, abs=1e-6)

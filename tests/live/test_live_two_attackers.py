@@ -1,16 +1,22 @@
 """Two vehicles that attack together in a simulation that the test steps itself."""
 
+import json
+from dataclasses import replace
+
 import libsumo
 import numpy as np
 import pytest
 
 import deepmf_sumo
+from deepmf_sumo.cli import _screen
 from deepmf_sumo.live import attacker, record
+from deepmf_sumo.live.session import LiveAttack
 from deepmf_sumo.results.reader import Results
-from deepmf_sumo.scene import Driver, Plan, TurnRules
+from deepmf_sumo.scene import Driver, Plan, Turn, TurnRules
 
 from tests.support import tiny_network
 from tests.support.live_doubles import OPTIONS, session_on, step
+from tests.support.rollout_doubles import rollout_of, straight
 
 pytestmark = pytest.mark.sumo
 
@@ -94,3 +100,15 @@ def test_the_folder_has_the_attack_of_each(sumo, tmp_path, monkeypatch):
     assert [turn["opponent"] for turn in run.result["turns"]] == ["leader", "beside"]
     assert set(run.rollout.attackers) == {"leader", "beside"}
     assert run.rollout.opponent_id == run.result["opponent"]
+
+
+def test_an_attack_without_a_gap_is_json():
+    """The opponent was gone with the first step."""
+    rollout = rollout_of({"av": straight(0, 0, 10), "b": straight(30, 0, 10)})
+    turn = Turn(opponent_id="b", first_step=10, last_step=11, ended="gone", gap_m=np.inf)
+    attack = LiveAttack(begin_s=1.0, end_s=1.1, rollout=replace(rollout, turns=(turn,)))
+    row = record.row(attack, 1, 1)
+    assert row["min_gap_m"] is None
+    json.dumps(row, allow_nan=False)
+    assert _screen._live_cells(row)[6] == "-"
+    _screen.tell_attack(row)
