@@ -48,7 +48,7 @@ class GraphSituation:
 
     Attributes:
         ids: (N) vehicles of the graph, the AV first.
-        graph: see `motion_priors.graph`, B = 1.
+        graph: see `priors.graph`, B = 1.
         paths: (N) their unattacked motion.
         others: unattacked motion of all agents by id, including those outside the graph.
         sizes: (2) length and width of all agents, by id.

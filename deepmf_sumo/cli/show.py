@@ -40,8 +40,8 @@ def command(
     that would have avoided the hit. Contrived and unavoidable hits follow them.
     With --coverage: four tables for each network, of environment, manoeuvre, kind of conflict and
     rules of the road: attacks, conflicts, hits, findings, causes, or why nothing was attacked.
-    Rates have 95 % intervals. Means are of the runs that have a value; below the table it says why
-    others have none.
+    Rates of hits have 95 % intervals. Means are of the runs that have a value; below the table it
+    says why others have none.
     """
     from deepmf_sumo.cli import _screen as screen
     from deepmf_sumo.report import side_by_side

@@ -15,6 +15,6 @@ where an extra is not installed. Exporters of other packages join through the en
 
 Why so: teams work on a finding in the program that they have, so that the same run has to be the
 same there. What classes and signals are is asked of `scene`; each format only says what it calls
-them. Runs write `fcd` and `scene` themselves; nothing but commands imports the other formats, and
-what only one of them needs is an extra.
+them. Runs write `fcd` and `scene` themselves; nothing but optional rooms and commands imports the
+other formats, and what only one of them needs is an extra.
 """

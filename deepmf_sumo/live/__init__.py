@@ -1,8 +1,8 @@
 """Attacks in a running simulation of another program: as a client of its port, or in its script.
 
 A live attack sees and drives as the loop of `deepmf_sumo.sumo.simulation` does, but another program
-steps SUMO, and the AV is never commanded. It shares the record of an episode, the schedule of
-attacks and the judge; it has one episode and therefore one try.
+steps SUMO (AlpaSim its own world), and the AV is never commanded. It shares the record of an
+episode, the schedule of attacks and the judge; it has one episode and therefore one try.
 
 Why it is as it is:
 

@@ -3,7 +3,7 @@
 The names and formats of a run's files are here; what runs calls its writers. Everything that counts
 runs reads one table, `frames`; all intervals, and what they decide, are `statistics` (the page
 computes those of the rows that a person selects again, in its script); what two sides are compared
-by is `matching` and `comparison`. `gate` makes a verdict of it, `risk` a map.
+by is `matching` and `changes`. `gate` makes a verdict of it, `risk` a map.
 
 Why so: two pages that print the same number must have it from the same rows. Results of earlier
 versions are completed where they are read (`stored`), so that no other room knows what they

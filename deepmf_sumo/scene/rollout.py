@@ -29,11 +29,13 @@ class Driver(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contact(Frozen):
-    """Two boxes overlap for the first time.
+    """Two boxes overlap that did not before, or were apart since.
+
+    An overlap at the start, of a road user that appears, or in the step of a hand-over is none.
 
     Attributes:
         kind: by the roles of the two; ``opponent_other`` also of two that attack together;
-            ``supporter_other``: of a supporter with a road user that is not of the attack.
+            ``supporter_other``: of a supporter with anybody but AV and attackers.
         first_id: the AV, or the opponent if the AV is not involved, or the supporter if neither is.
         second_id: the other.
         striker_id: the vehicle that moved faster towards the other's box.

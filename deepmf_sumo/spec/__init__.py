@@ -6,8 +6,8 @@ nearest name. Paths are relative to the spec. `schema` describes specs to editor
 Why so: the same words mean the same attack at every door. What a spec means where it says nothing
 is data in `profiles`: the profile (constraints, form, rule, turns), and what the versions differ
 in. `Spec` writes it into the spec as it is read, so that runs, records and copies of a spec know no
-defaults. Commands without a file (`attack`, `attach`, `serve`) make the document of a spec and add
-nothing. Settings of plug-ins know of no versions.
+defaults. Commands without a file (`attack`, `attach`, `serve`) make the document of a spec; only a
+live attack adds something: it has one try. Settings of plug-ins know of no versions.
 
 A task (`tasks`) is one run: scene, seed, key. The room lies below all that runs or counts, because
 a result is labelled with the task that it came from. Random numbers of a run depend on scene and

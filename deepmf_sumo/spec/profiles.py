@@ -3,8 +3,9 @@
 A profile names a kind of attack. It is resolved here, once, as a spec is read: what it stands for
 is written into the spec, so that a run, its record and a copy of it know the same attack whatever
 reads them, and a later profile of the same name changes none of them. A setting that the spec
-states wins over its profile. Commands without a spec (`attack`, `attach`, `serve`) are short for a
-spec, so that the same words mean the same attack everywhere.
+states wins over its profile, which keeps its name. Commands without a spec (`attack`, `attach`,
+`serve`) are short for a spec, so that the same words mean the same attack everywhere; live attacks
+and attacks in turn have one try.
 """
 
 import json

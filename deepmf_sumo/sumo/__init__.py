@@ -19,7 +19,7 @@ Why it is as it is:
   vehicle that SUMO cannot take for 30 s leaves SUMO's traffic, or is put on the nearest lane of a
   recording's; the rollout says so.
 - Vehicles that stand without reaching into the AV's swept way are put on SUMO's ignore lists
-  (`simulation.ignored_vehicles`); a red that the recorded AV itself passes is off.
+  (`log_world.IgnoredVehicles`); a red that the recorded AV itself passes is off.
 - Against ``replay`` with logged traffic no vehicle reacts, and an episode is put together without
   SUMO (`simulation.log_only`), equal to the bit to the one with it; searches gain a factor of
   fifty. As a world in the loop of the others it takes 2.5 to 9 times as long as from plan to plan.

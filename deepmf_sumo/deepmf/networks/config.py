@@ -1,4 +1,4 @@
-"""Sizes of the networks: ``light`` runs on a CPU, ``paper`` has VGG16 and VectorNet in full."""
+"""Sizes of the networks: presets of `PRESETS`, from ``light`` for a CPU to ``paper`` in full."""
 
 from dataclasses import asdict, replace
 from typing import Annotated, Any, Final, Literal

@@ -31,7 +31,7 @@ class Meetings(NamedTuple):
     Attributes:
         ttc_s: (K) until the boxes touch if both keep velocity and heading; inf if they never do.
         gap_s: (K) until the AV, with its velocity and heading, touches the box where it is now.
-        braking_mps2: (K) as `conflict.Conflict.braking_mps2`.
+        braking_mps2: (K) as `conflict.PairedMotion.braking_mps2`.
     """
 
     ttc_s: Floats

@@ -13,8 +13,8 @@ _LEAST_MPS: Final = 1e-6
 
 @metric("1", better="higher")
 def collision(episode: Episode) -> float:
-    """1 where the boxes of AV and opponent overlap at a simulated step, else 0; its mean is the
-    collision rate.
+    """1 where the boxes of AV and opponent overlap at a simulated step, but not since the start,
+    since one appeared or since its driver changed; else 0. Its mean is the collision rate.
     """
     _slices.opponent_row(episode.rollout)
     return episode.rollout.first("av_opponent") is not None

@@ -54,7 +54,7 @@ def run_specs(
         options: of the runs.
         report: called when a run has ended.
         announce: called when moments were found.
-        by_option: messages name the options of ``attack``, see `Wish`.
+        by_option: messages name the options of ``attack``, see `WantedMoments`.
 
     Raises SpecError, UsageError, SimulationError or OutputError before anything is attacked.
     """

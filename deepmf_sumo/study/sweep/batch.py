@@ -1,4 +1,4 @@
-"""Specs -> result folder.
+"""Tasks -> result folder.
 
 Runs that a resumed folder has beside those of the command are kept where nothing has changed:
 `run a b --out r` and then `run a --out r --resume` leaves the runs of b in the tables. Whether one

@@ -23,7 +23,7 @@ from deepmf_sumo.sumo.simulation.way_on import WayOn
 
 _MOVED_M = 0.05
 _BACK_ON_LANE_STEPS = 300
-"""A vehicle that is not back on a lane by then is SUMO's, wherever it is."""
+"""A vehicle that is not back on a lane by then is SUMO's, which moves it to one or loses it."""
 
 
 class AttackingVehicle:

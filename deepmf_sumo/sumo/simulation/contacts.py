@@ -1,4 +1,4 @@
-"""Contacts: which boxes overlap for the first time, which vehicle struck, and how hard."""
+"""Contacts: which boxes overlap and did not before, which vehicle struck, and how hard."""
 
 from collections.abc import Iterator
 

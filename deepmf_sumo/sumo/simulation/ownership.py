@@ -1,8 +1,8 @@
 """Which driver owns an agent at a step, and how an agent changes its owner.
 
 Every agent has one owner at each step (`Driver`): the log, SUMO, the planner (of the AV), or the
-policy (of an opponent). **A hand-over begins where the agent is.** No owner puts an agent where a
-plan, the log or SUMO would have it:
+policy (of an opponent). **A hand-over begins where the agent is.** But for the last row, no owner
+puts an agent where a plan, the log or SUMO would have it:
 
 | from | to | how |
 | --- | --- | --- |
@@ -13,6 +13,7 @@ plan, the log or SUMO would have it:
 | policy | nobody yet | a person walks to the nearest footway (`on_foot`), in the log it stops |
 | log | planner | from the recorded pose of the current step |
 | planner | planner | off every lane, where SUMO drives nothing: it goes back to one, or stops |
+| nobody yet | SUMO | after 30 s without a lane, said by an event: `Takeover.hand_back` |
 
 An agent that nobody owns yet is recorded as `Driver.POLICY`. `NextOwner` is the question that a
 world answers; `attack_schedule` asks it for opponents. An overlap that begins in the step of a

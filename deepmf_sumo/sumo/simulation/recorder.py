@@ -170,8 +170,8 @@ def timed(seconds: dict[str, float], part: str) -> Iterator[None]:
 class EpisodeRecord:
     """One AV under attack: its recorder, the schedule of attacks, and the judge of contacts.
 
-    Whatever steps the world (the loop of an episode, a vectorised world, another program) calls
-    `replan` before a step and `add` after it.
+    What steps the world (the loop of an episode, another program) calls `replan` before a step and
+    `add` after it; `log_only`, which makes many steps together, drives its parts itself.
 
     Args:
         av_id: the AV.

@@ -202,7 +202,7 @@ def dense_loss(
 def augmented(
     batch: dict[str, Tensor], preset: Preset, generator: torch.Generator
 ) -> dict[str, Tensor]:
-    """A batch of `samples.trajectory_samples` with random changes."""
+    """A batch of `samples.trajectory.trajectory_samples` with random changes."""
     batch = _noisy(_dropped(dict(batch), generator), generator)
     rows = _drawn(len(batch["motion"]), MIRRORED, generator, batch["motion"].device)
     return mirrored(batch, rows, preset)
