@@ -15,7 +15,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from deepmf_sumo.judge.accident_types import CUT_IN_S, came_from_beside
-from deepmf_sumo.scene import DT_S, Floats, Ints, RoadMap, Tracks
+from deepmf_sumo.scene import DT_S, AgentKind, Floats, Ints, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.sumo.network.matching import match
@@ -303,7 +303,10 @@ class Meeting:
             road=road,
             lanes=(lanes[0], lanes[1]),
             courses=(av, other),
-            type=conflict_type(av, other, road, from_beside=_from_beside(tracks, rows, step)),
+            type=_of_kind(
+                tracks.kinds[rows[1]],
+                conflict_type(av, other, road, from_beside=_from_beside(tracks, rows, step)),
+            ),
         )
 
     def local(self, step: int) -> Floats:
@@ -416,6 +419,12 @@ class Meeting:
         lanes = [lane for lane in dict.fromkeys(self.lanes[which]) if lane is not None]
         onward = self.road.lanes[lanes[-1]].next if lanes and self.road is not None else ()
         return [*lanes, *onward]
+
+
+def _of_kind(kind: AgentKind, found: ConflictType) -> ConflictType:
+    """Pedestrians neither change lanes nor merge: whoever comes from beside crosses."""
+    crosses = kind == "pedestrian" and found in {"lane change", "merging"}
+    return "crossing" if crosses else found
 
 
 def _before_turns(change_rad: Floats) -> int:

@@ -47,6 +47,19 @@ def far_walker(x):
 AV = straight(0, 0, 10)
 
 
+@pytest.mark.parametrize("heading_deg", [-20, -28, -60, -90, -120])
+def test_who_comes_from_beside_crosses(heading_deg):
+    """Whichever way: people on foot neither change lanes nor merge."""
+    heading = np.deg2rad(heading_deg)
+    hits = []
+    for end_m in range(54, 76, 2):
+        begin_m = end_m + 9.6 / np.tan(heading)
+        walk = walks(begin_m, 9.6, (9, -1.4 / np.sin(heading)), heading=heading)
+        hits.append(hit_of(episode(AV, Drawn(walk), road=STREET)))
+    told = {(one.conflict, one.side) for one in hits if one is not None}
+    assert told == {("crossing", "left")}
+
+
 def test_who_steps_out_in_time_to_be_avoided_erred_and_so_did_the_av_to_hit_him():
     found = episode(AV, far_walker(58), road=STREET)
     assert told(found) == ("B", ("stepped_out",), "", "stepped_out")
