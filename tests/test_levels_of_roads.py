@@ -260,7 +260,7 @@ def test_lights_and_crossings_are_of_one_level():
         driven = replace(rollout, tracks=tracks, signals=red)
         assert lights_passed(driven, road, 0, np.zeros(2)) == passed
         meeting = SimpleNamespace(tracks=tracks, other=1, step=40)
-        assert on_crossing(road, meeting) == bool(passed)
+        assert on_crossing(driven, road, meeting) == bool(passed)
 
 
 def test_a_person_below_a_bridge_is_not_on_its_road():

@@ -25,16 +25,25 @@ _ALONG: Final = float(np.cos(np.pi / 4))
 _MOSTLY: Final = 0.5
 
 
-def on_crossing(road_map: RoadMap, meeting: Meeting) -> bool:
-    """Whether the other was on a pedestrian crossing, or a metre beside it, at the contact."""
+def on_crossing(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> bool:
+    """Whether the other used a pedestrian crossing, or a metre beside it, at the contact.
+
+    A cyclist who rides along the road only passes it.
+    """
+    return _crossing(road_map, meeting) is not None and not rides(rollout, road_map, meeting)
+
+
+def _crossing(road_map: RoadMap, meeting: Meeting) -> str | None:
+    """Id of the pedestrian crossing on which, or a metre beside which, the other was."""
     place = shapely.Point(meeting.tracks.position_m[meeting.other, meeting.step])
     z_m = meeting.tracks.z_m[meeting.other, meeting.step]
-    return any(
-        shapely.dwithin(shapely.Polygon(one.points_m), place, CROSSING_M)
-        and on_level(road_map, z_m, one.z_m.mean())
-        for one in road_map.polygons
+    found = (
+        one.id for one in road_map.polygons
         if one.kind == "crosswalk" and len(one.points_m) > 2
-    )
+        and shapely.dwithin(shapely.Polygon(one.points_m), place, CROSSING_M)
+        and on_level(road_map, z_m, one.z_m.mean())
+    )  # fmt: skip
+    return next(found, None)
 
 
 def on_road(road_map: RoadMap, meeting: Meeting) -> bool:
@@ -48,11 +57,12 @@ def on_road(road_map: RoadMap, meeting: Meeting) -> bool:
 
 
 def light_let_it_go(rollout: Rollout, meeting: Meeting) -> bool:
-    """Whether the AV passed a green light, and went straight on."""
+    """Whether the AV passed a green light before the crossing there, and went straight on."""
     if meeting.road is None or meeting.turn_rad(0) != 0.0:
         return False
     place = rollout.tracks.position_m[meeting.av, meeting.step]
-    return passed_green(rollout, meeting.road, meeting.av, place)
+    crossing = _crossing(meeting.road, meeting) or ""
+    return passed_green(rollout, meeting.road, meeting.av, place, crossing)
 
 
 def before_hit(rollout: Rollout, meeting: Meeting) -> Ints:
@@ -88,6 +98,6 @@ def priority(rollout: Rollout, road_map: RoadMap, meeting: Meeting) -> Who | Non
     """
     if not on_road(road_map, meeting):
         return ""
-    if on_crossing(road_map, meeting):
+    if on_crossing(rollout, road_map, meeting):
         return "AV" if light_let_it_go(rollout, meeting) else "opponent"
     return None if rides(rollout, road_map, meeting) else "AV"

@@ -155,7 +155,7 @@ def described(
         stood=bool(tracks.speed_mps[meeting.other, max(contact.step - 1, 0)] <= STANDING_MPS),
         person=person,
         emerged=emerged_from(rollout, road, meeting.other, onset) if person else "",
-        on_crossing=person and road is not None and crossings.on_crossing(road, meeting),
+        on_crossing=person and road is not None and crossings.on_crossing(rollout, road, meeting),
     )
 
 

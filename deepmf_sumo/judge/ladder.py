@@ -346,7 +346,7 @@ def _error_to_person(episode: Episode, hit: Hit) -> str | None:
     """
     if not on_road(episode.case.road, hit.meeting):
         return "left_road" if _left_road(episode.rollout, episode.case.road, hit.meeting) else ""
-    if on_crossing(episode.case.road, hit.meeting):
+    if on_crossing(episode.rollout, episode.case.road, hit.meeting):
         return "" if light_let_it_go(episode.rollout, hit.meeting) else "took_crossing"
     return None if rides(episode.rollout, episode.case.road, hit.meeting) else ""
 
@@ -356,7 +356,7 @@ def _error_of_person(episode: Episode, hit: Hit) -> str | None:
     rollout, meeting, road_map = episode.rollout, hit.meeting, episode.case.road
     if not on_road(road_map, meeting):
         return ""
-    if on_crossing(road_map, meeting):
+    if on_crossing(rollout, road_map, meeting):
         return "crossed_on_red" if light_let_it_go(rollout, meeting) else ""
     if rollout.tracks.kinds[meeting.other] == "pedestrian":
         return "stepped_out"

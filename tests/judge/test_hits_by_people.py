@@ -14,7 +14,7 @@ from deepmf_sumo.judge.metrics.av_rules import av_crossing_taken
 from deepmf_sumo.judge.metrics.avoidability import avoided_by_cc, avoided_by_vru
 from deepmf_sumo.scene import Polygon, SignalState
 
-from tests.judge.test_ladder import STREET, driven, junction
+from tests.judge.test_ladder import STREET, driven, junction, lane, road_of
 from tests.support.drawn_people import NOW, TRUCK, Drawn, episode, stands, walks
 from tests.support.rollout_doubles import contact_of, straight
 
@@ -100,6 +100,44 @@ def test_lights_of_the_av_tell_who_may_cross():
     assert at(SignalState.STOP) == ("ran_light", "", "opponent", 1.0)
     # it is off; no driver of reference comes to a stand in time
     assert at(SignalState.FLASHING_CAUTION) == ("", "", "opponent", 1.0)
+
+
+@pytest.mark.parametrize(("crossing_id", "red"), [(":c_c0", True), (":x_c0", False)])
+def test_a_light_stops_who_uses_crossings_of_its_own_junction(crossing_id, red):
+    """A zebra behind a signalled junction belongs to another one, at which the AV gives way."""
+    road = road_of(
+        lane("wc_0", (-200, 0), (-10, 0), next=(":c_14_0",)),
+        lane(":c_14_0", (-10, 0), (10, 0), interpolating=True, previous=("wc_0",), next=("ce_0",)),
+        lane("ce_0", (10, 0), (200, 0), previous=(":c_14_0",)),
+    )
+    zebra = replace(crossing(30, road).polygons[0], id=crossing_id)
+    found = episode(driven(10, x=-30), far_walker(30), road=replace(road, polygons=(zebra,)))
+    lights = ({":c_14_0": SignalState.GO},) * (found.rollout.tracks.steps - 1 - NOW)
+    one = Episode(replace(found.rollout, signals=lights), found.case)
+    assert told(one)[3] == "crossed_on_red" * red
+    assert hit_of(one).priority == ("AV" if red else "opponent")
+    assert av_crossing_taken.compute(one) == float(not red)
+
+
+@pytest.mark.parametrize("light", [None, SignalState.GO])
+def test_who_rides_along_the_road_over_a_crossing_does_not_use_it(light):
+    """As where no crossing is: the AV ran into the bicycle ahead."""
+    rider = Drawn(straight(10, 0, 4), "cyclist", RIDER)
+
+    def judged(road):
+        found = episode(straight(-16, 0, 10), rider, road=road, alone=rider.path)
+        rollout = found.rollout
+        if light is not None:
+            lights = ({"east": light},) * (rollout.tracks.steps - 1 - NOW)
+            rollout = replace(rollout, signals=lights)
+        one = Episode(rollout, found.case)
+        hit = hit_of(one)
+        return *told(one), hit.priority, hit.on_crossing
+
+    met_at = 10 + 4 * 3.8
+    found = judged(crossing(met_at, junction()))
+    assert found == judged(junction())
+    assert found[2:] == ("struck_ahead", "", "opponent", False)
 
 
 def test_hit_and_monitor_agree_on_who_goes_first_where_the_av_turns_at_green():

@@ -194,16 +194,18 @@ def av_crossing_taken(episode: Episode) -> float:
     light and went straight on: the crossing is red then.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
-    crossings = [(shapely.Polygon(one.points_m), float(one.z_m.mean())) for one in road.polygons
+    crossings = [(one.id, shapely.Polygon(one.points_m), float(one.z_m.mean()))
+                 for one in road.polygons
                  if one.kind == "crosswalk" and len(one.points_m) > 2]  # fmt: skip
     if not crossings:
         raise NotMeasurable("the map has no pedestrian crossings")
     on_foot = np.flatnonzero(np.array(episode.rollout.tracks.kinds) == "pedestrian").tolist()
-    for area, z_m in crossings if on_foot else ():
+    for crossing, area, z_m in crossings if on_foot else ():
         inside = np.asarray(shapely.contains_xy(area, *drive.front_m.T))
         inside &= on_level(road, drive.z_m, z_m)
         for at in np.flatnonzero(inside & ~np.concatenate([inside[:1], inside[:-1]])).tolist():
-            fast = drive.speed_mps[at] > WALKING_MPS and not _light_let_it_go(episode, drive, at)
+            let_go = _light_let_it_go(episode, drive, at, crossing)
+            fast = drive.speed_mps[at] > WALKING_MPS and not let_go
             if fast and any(_has_to_wait_for(episode, drive, at, row, area) for row in on_foot):
                 return 1.0
     return 0.0
@@ -230,14 +232,14 @@ def _has_to_wait_for(
     return bool(room_m <= 0 or room_m < towards_mps * _WAITS_S)
 
 
-def _light_let_it_go(episode: Episode, drive: DrivenSteps, at: int) -> bool:
-    """Whether the AV passed a green light before, and has gone straight on since."""
+def _light_let_it_go(episode: Episode, drive: DrivenSteps, at: int, crossing: str) -> bool:
+    """Whether the AV passed a green light before a crossing, and has gone straight on since."""
     rollout, road = episode.rollout, episode.case.road
     before = np.hypot(*(drive.position_m[: at + 1] - drive.position_m[at]).T) < _TURNS_M
     turned = frames.difference(drive.heading_rad[: at + 1][before], drive.heading_rad[at])
     if np.abs(turned).max() > _TURNED_RAD:
         return False
-    return driving.passed_green(rollout, road, drive.row, drive.position_m[at])
+    return driving.passed_green(rollout, road, drive.row, drive.position_m[at], crossing)
 
 
 @metric("s", better="higher")

@@ -21,6 +21,7 @@ from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.scene.geometry.walkable import walkable
 from deepmf_sumo.scene.road_users import PEOPLE, RoadUser, road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, HALTS
+from deepmf_sumo.sumo.network.sumo_net import edge_of, junction_of
 
 _TURN_NOISE_RAD = 0.1
 _SIDEWAYS, _SLIDING_MPS = 0.5, 2.0  # sine of 30 degrees; slow motion has no exact direction
@@ -194,17 +195,21 @@ def stop_lines(rollout: Rollout, case: Case) -> list[StopLine]:
     ]
 
 
-def lights_passed(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) -> set[SignalState]:
+def lights_passed(
+    rollout: Rollout, road: RoadMap, row: int, place_m: Floats, junction: str = ""
+) -> set[SignalState]:
     """States of the lights whose stop lines an agent's front crosses, as they were before the step.
 
     Those of its last crossing alone, and only where the line is near the place (2): at most 50 m
-    away, so that it is of the same junction. A lane begins at its stop line. Of lights that are
-    crossed together all are given.
+    away. A lane begins at its stop line. Of lights that are crossed together all are given.
+    ``junction``: of a network, the only one whose lights count.
     """
     found: dict[int, set[SignalState]] = {}
     for lane_id in dict.fromkeys(name for lights in rollout.signals for name in lights):
         lane = road.lanes.get(lane_id)
         if lane is None or len(lane.centre_m) < 2:
+            continue
+        if junction and junction_of(edge_of(lane_id)) != junction:
             continue
         if np.hypot(*(lane.centre_m[0] - place_m)) > _JUNCTION_M:
             continue
@@ -225,9 +230,13 @@ def may_turn_on_red(case: Case, turn_rad: float) -> bool:
     return isinstance(case, RecordedCase) and turn_rad < 0
 
 
-def passed_green(rollout: Rollout, road: RoadMap, row: int, place_m: Floats) -> bool:
-    """Whether the lights that an agent passed last before a place (2), if any, let it go."""
-    passed = lights_passed(rollout, road, row, place_m)
+def passed_green(rollout: Rollout, road: RoadMap, row: int, place_m: Floats, crossing: str) -> bool:
+    """Whether the lights that an agent passed last before a place (2), if any, let it go.
+
+    ``crossing``: id of the crossing there. In a network a light stops who uses crossings of its own
+    junction alone: a zebra behind it is another one's.
+    """
+    passed = lights_passed(rollout, road, row, place_m, junction_of(crossing))
     return bool(passed & GOES) and not passed & FORBIDS
 
 

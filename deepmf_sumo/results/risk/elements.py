@@ -13,7 +13,7 @@ import shapely
 
 from deepmf_sumo.results.risk.places import Kind, Places, Spot
 from deepmf_sumo.scene import Floats
-from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetLane
+from deepmf_sumo.sumo.network.sumo_net import NetEdge, NetLane, junction_of
 
 KMH: Final = 3.6
 BETWEEN: Final = "between junctions"
@@ -131,7 +131,7 @@ def _arms(places: Places) -> dict[str, set[str]]:
 def _with_crossings(places: Places) -> frozenset[str]:
     """Junctions at which people may cross: a crossing's id is ``:JUNCTION_c0``."""
     edges = (edge for edge in places.net.edges.values() if edge.function == "crossing")
-    return frozenset(edge.id[1:].rpartition("_")[0] for edge in edges)
+    return frozenset(junction_of(edge.id) for edge in edges)
 
 
 def _lanes(edge: NetEdge) -> list[NetLane]:

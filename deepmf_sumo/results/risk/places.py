@@ -25,6 +25,7 @@ from deepmf_sumo.sumo.network.sumo_net import (
     NetLane,
     NetLink,
     elements,
+    junction_of,
     read_once,
 )
 
@@ -139,8 +140,8 @@ class Places:
         if movement:
             return Spot(lane=lane_id, junction=movement.junction, movement=movement.id)
         edge = self.lanes[lane_id].edge
-        if edge.startswith(":"):  # inside a junction, and of no connection
-            return Spot(lane=lane_id, junction=edge[1:].rpartition("_")[0])
+        if inside := junction_of(edge):  # and of no connection
+            return Spot(lane=lane_id, junction=inside)
         return Spot(lane=lane_id, edge=edge)
 
     def within(self, place_m: Floats, z_m: float) -> str:

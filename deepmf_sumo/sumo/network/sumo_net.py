@@ -53,6 +53,14 @@ def edge_of(lane: str) -> str:
     return lane.rpartition("_")[0]
 
 
+def junction_of(edge: str) -> str:
+    """The junction of an edge inside it, as netconvert names it: ``:J_2``, ``:J_c0``, ``:J_w0``.
+
+    Empty for other edges.
+    """
+    return edge[1:].rpartition("_")[0] if edge.startswith(":") else ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetLane:
     """A ``<lane>``: ``shape_m`` (P, 3), z = 0 where the net is flat."""

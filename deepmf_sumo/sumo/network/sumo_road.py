@@ -30,6 +30,7 @@ from deepmf_sumo.sumo.network.sumo_net import (
     NetLane,
     elements,
     going_first,
+    junction_of,
     points,
     read_once,
 )
@@ -133,7 +134,7 @@ def _beside_lanes(
         lane.shape_m[:, :2]
         for edge in net.edges.values()
         for lane in edge.lanes
-        if edge.function == "internal" and lane.id in drivable and _junction_of(edge) in walking
+        if edge.function == "internal" and lane.id in drivable and junction_of(edge.id) in walking
     ]
     row = np.repeat(np.arange(len(lanes)), [len(lane) for lane in lanes])
     lines = np.asarray(shapely.linestrings(np.concatenate([np.empty((0, 2)), *lanes]), indices=row))
@@ -155,13 +156,8 @@ def _walking_areas(net: NetFile) -> dict[str, list[Floats]]:
     for edge in net.edges.values():
         for lane in edge.lanes if edge.function == "walkingarea" else ():
             if len(lane.shape_m) > 2:
-                found[_junction_of(edge)].append(lane.shape_m[:, :2])
+                found[junction_of(edge.id)].append(lane.shape_m[:, :2])
     return found
-
-
-def _junction_of(edge: NetEdge) -> str:
-    """The junction of an edge inside it: netconvert numbers these, as ``:J_2`` and ``:J_w0``."""
-    return edge.id[1:].rpartition("_")[0]
 
 
 def _roadway(ring_m: Floats, walking_m: list[Floats]) -> Floats:
