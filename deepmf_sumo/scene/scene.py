@@ -68,8 +68,8 @@ class Lane(Frozen):
         speed_limit_mps: None if unknown.
         next, previous: ids of the lanes that follow and precede.
         left, right: neighbours in the same direction.
-        gives_way_to: lanes inside the junction that have priority; also empty if the source
-            does not state it, as in recordings.
+        gives_way_to: lanes inside the junction that have priority, and tracks of trams, which are
+            no lanes of the map; also empty if the source does not state it, as in recordings.
     """
 
     id: str

@@ -1,16 +1,21 @@
 """A turn across the lane beside: the network's own right of way tells who had to wait."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import verdict
+from deepmf_sumo.judge.metrics import Episode
+from deepmf_sumo.judge.metrics.av_rules import av_right_of_way_taken
 from deepmf_sumo.report.picture import happened
 from deepmf_sumo.scene.geometry import polylines
 from deepmf_sumo.sumo.network import sumo_tools
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 
 from tests.support.drawn_people import CAR, NOW, Drawn, episode
+from tests.support.rollout_doubles import case_of, in_traffic, rollout_of
 
 NODES = """<nodes><node id="w" x="-200" y="0"/><node id="m" x="0" y="0" type="priority"/>
 <node id="e" x="200" y="0"/><node id="n" x="0" y="200"/><node id="s" x="0" y="-200"/></nodes>"""
@@ -89,6 +94,27 @@ def test_who_turns_across_the_lane_beside_waits_for_it(
         assert happened(hit) == title
     assert "A" in hits
     assert len(hits) >= 3
+
+
+@pytest.mark.sumo
+def test_cyclists_have_the_priority_of_vehicles(tmp_path):
+    """The same motion on the cycle lane: the AV takes as much of the right of way."""
+    road = built(tmp_path, "cyclist")
+    across = drives(road, way(road, "wm_1", "ms"), 5.0, 20.0)
+    asked = []
+    for behind_m in (4.0, 8.0, 12.0):
+        straight = drives(road, way(road, "wm_0", "me"), 6.0, 20.0 + behind_m)
+        found = rollout_of({"av": across, "b": straight}, opponent_id=None)
+        case = replace(in_traffic(case_of()), road=road)
+        pair = []
+        for kind in ("vehicle", "cyclist"):
+            size_m = np.array([CAR, RIDER.size_m])
+            tracks = replace(found.tracks, kinds=("vehicle", kind), size_m=size_m)
+            one = Episode(replace(found, tracks=tracks), case)
+            pair.append(av_right_of_way_taken.compute(one))
+        asked.append(pair)
+    assert all(vehicle == cyclist for vehicle, cyclist in asked)
+    assert max(asked)[0] > 3.0
 
 
 @pytest.mark.sumo

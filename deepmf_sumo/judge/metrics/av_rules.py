@@ -138,9 +138,10 @@ def av_red_run(episode: Episode) -> float:
 
 @metric("m/s2", better="higher")
 def av_right_of_way_taken(episode: Episode) -> float:
-    """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle that
-    drives on a lane with priority over it, over the simulated steps up to the AV's first contact;
-    at most 10 m/s2. A vehicle whose light is red has none.
+    """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle, a cyclist
+    or a tram that drives on a lane with priority over it, over the simulated steps up to the AV's
+    first contact; at most 10 m/s2. Whoever has a red light has none. Of trams on tracks of their
+    own no light is known: at lights they do not count.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
     if not any(one.gives_way_to for one in road.lanes.values()):
@@ -155,21 +156,28 @@ def av_right_of_way_taken(episode: Episode) -> float:
             continue
         begin = int(np.flatnonzero(on_it)[0])
         first = {one for one in lane.gives_way_to if drive.light(begin, one) not in FORBIDS}
-        for row in _with_priority(episode, drive, begin, first):
+        rail = drive.light(begin, lane.id) is None and not first <= road.lanes.keys()
+        for row in _with_priority(episode, drive, begin, first, rail=rail):
             hardest = max(hardest, _asked_mps2(episode.rollout, drive.steps[on_it], row))
     return min(hardest, CEILING_MPS2)
 
 
-def _with_priority(episode: Episode, drive: DrivenSteps, begin: int, first: set[str]) -> list[int]:
-    """Rows of vehicles near the AV at step ``begin`` that use one of some lanes from then on."""
+def _with_priority(
+    episode: Episode, drive: DrivenSteps, begin: int, first: set[str], *, rail: bool
+) -> list[int]:
+    """Rows of those near the AV at step ``begin`` that use one of some lanes from then on.
+
+    ``rail``: trams have priority wherever they are; maps do not have their tracks.
+    """
     tracks = episode.rollout.tracks
     step, found = int(drive.steps[begin]), []
     apart = np.hypot(*(tracks.position_m[:, step] - drive.position_m[begin]).T)
     for row in np.flatnonzero(tracks.valid[:, step] & (apart < _PRESENT_M)).tolist():
-        if row == drive.row or tracks.kinds[row] != "vehicle":
+        if row == drive.row or tracks.kinds[row] == "pedestrian":
             continue
         there = tracks.valid[row] & (np.arange(tracks.steps) >= step)
-        if first & set(lane_ids(episode, row, there)):
+        on_rail = rail and tracks.kinds[row] == "other"
+        if on_rail or first & set(lane_ids(episode, row, there)):
             found.append(row)
     return found
 

@@ -143,7 +143,7 @@ class LaneMessage(Message):
         next, previous: ids of the lanes after and before it.
         left, right: ids of the lanes beside it in the same direction.
         left_beside, right_beside: the same, with where they are beside it.
-        gives_way_to: ids of lanes inside the junction that have priority.
+        gives_way_to: ids of lanes inside the junction that have priority, and of tracks of trams.
     """
 
     id: str

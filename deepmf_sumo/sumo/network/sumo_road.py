@@ -25,6 +25,7 @@ from deepmf_sumo.scene import (
 from deepmf_sumo.scene.scene import LaneKind, PolygonKind
 from deepmf_sumo.sumo.network.sumo_net import (
     ON_FOOT,
+    RAIL_VEHICLES,
     NetEdge,
     NetFile,
     NetLane,
@@ -221,12 +222,12 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
             before[link.onto].append(link.origin)
     lines, edges = borders(net, lanes)
     shapes = [shape for file in additional for shape in _polygons(file)]
-    goes_first = going_first(net)
+    goes_first, known = going_first(net), lanes.keys() | _tracks(net)
     return RoadMap(
         lanes={
             lane.id: replace(
                 _lane(net, edge, lane, lanes, after[lane.id], before[lane.id]),
-                gives_way_to=tuple(name for name in goes_first.get(lane.id, ()) if name in lanes),
+                gives_way_to=tuple(name for name in goes_first.get(lane.id, ()) if name in known),
             )
             for edge in net.edges.values()
             for lane in edge.lanes
@@ -241,6 +242,16 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         footways=tuple(_footways(net, lanes)),
         water=tuple(shape for shape in shapes if shape.kind == "water"),
     )
+
+
+def _tracks(net: NetFile) -> set[str]:
+    """Lanes inside junctions that trams or trains use."""
+    return {
+        lane.id
+        for edge in net.edges.values()
+        for lane in edge.lanes
+        if edge.function == "internal" and any(lane.allows(one) for one in RAIL_VEHICLES)
+    }
 
 
 def road_once(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
