@@ -35,7 +35,7 @@ MOVED = {
     "howto/conflicts": "howto/network#count-conflicts",
     "howto/countermeasures": "howto/network#try-a-change",
     "howto/results-in-python": "reference/python#results-as-tables",
-    "howto/screen": "howto/network#check-it-by-the-book",
+    "howto/screen": "howto/network#check-it-against-a-guideline",
     "howto/stacks": "reference/stacks",
     "howto/steering": "howto/attack#steer-the-attack",
     "reference/evidence": "reference/risk-map#tables-of-evidence",
