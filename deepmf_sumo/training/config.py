@@ -114,6 +114,9 @@ DataEntries = Annotated[list[Annotated[DataEntry, BeforeValidator(_entry)]], Fie
 """At least one source; a path alone is one without a weight."""
 
 
+OfOne = Annotated[Optimisation, Field(description="the keys above, for this network alone")]
+
+
 class Config(Optimisation):
     """A training: its data, the optimisation, and that of single networks."""
 
@@ -133,12 +136,12 @@ class Config(Optimisation):
         le=MOST_MEMBERS,
         description="number of marginal networks that predict together",
     )
-    opponent: Optimisation = Optimisation()
-    marginal: Optimisation = Optimisation()
-    conditional: Optimisation = Optimisation()
-    people: Optimisation = Optimisation()
-    strive: Optimisation = Optimisation()
-    diffscene: Optimisation = Optimisation()
+    opponent: OfOne = Optimisation()
+    marginal: OfOne = Optimisation()
+    conditional: OfOne = Optimisation()
+    people: OfOne = Optimisation()
+    strive: OfOne = Optimisation()
+    diffscene: OfOne = Optimisation()
 
     def of(self, network: Network) -> Optimisation:
         """How to train one network; its own settings take precedence."""

@@ -225,6 +225,8 @@ class Reset(Message):
 
     Attributes:
         episode: its id, in all of its messages: a server may drive several at a time.
+        case: name of the scene. seed: of the planner's random numbers.
+        dt_s: duration of a step.
         first_step: step of the first view. steps: how many follow.
         own_lane: the AV drives on a separate lane, from which SUMO's model sees no other vehicle.
     """
@@ -280,6 +282,9 @@ class ViewMessage(Message):
     """What the planner sees at a step, answered by a command.
 
     Attributes:
+        episode: as in the reset. step: answers repeat it.
+        steps_left: of the episode.
+        agents: all road users that the planner sees, with the AV.
         signals: lane id -> name of its light's state.
         av_path_m: (P, 2) centre line ahead of the AV's front bumper; null off every lane.
         av_recorded_steps: number of the last 10 steps in which the AV moved as recorded.
