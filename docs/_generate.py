@@ -9,7 +9,7 @@ import importlib
 import posixpath
 import re
 import types
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
@@ -35,13 +35,17 @@ MOVED = {
     "howto/conflicts": "howto/network#count-conflicts",
     "howto/countermeasures": "howto/network#try-a-change",
     "howto/results-in-python": "reference/python#results-as-tables",
-    "howto/screen": "howto/network#check-it-by-the-book",
+    "howto/screen": "howto/network#check-it-against-a-guideline",
     "howto/stacks": "reference/stacks",
     "howto/steering": "howto/attack#steer-the-attack",
     "reference/evidence": "reference/risk-map#tables-of-evidence",
     "reference/wishes": "developers/wishes",
 }
 """Old addresses of pages, and where their content is now."""
+_ITEM = " " * 8
+"""Before an item of a section of a class's docstring."""
+_REFERENCE = re.compile(r"[,:;]? see `[\w.]+`,?| \(`[\w.]+`\)")
+"""To an object of the code, which is on no page."""
 _ENTRY = re.compile(r"^(\w[^\n:]*)\n:   (.+(?:\n    .+)*)", re.MULTILINE)
 _NOT_PROSE = (
     r"^```.*?^```|^---$.*?^---$|<!--.*?-->|^:::[^\n]*(?:\n    [^\n]*)*|^#[^\n]*|^    [^\n]*"
@@ -167,14 +171,21 @@ def described(model: type) -> dict[str, str]:
     found: dict[str, str] = {}
     for one in reversed(model.__mro__):
         if one.__module__.startswith("deepmf_sumo") and one.__doc__:
-            text = re.sub(r"(?<=\. )(?=[a-z]\w*: )", "\n    ", one.__doc__)  # several in one line
+            text = re.sub(r"(?<=\. )(?=[a-z]\w*: )", f"\n{_ITEM}", one.__doc__)  # several in a line
             for section in Docstring(text).parse("google", warnings=False):
                 if isinstance(section, DocstringSectionAttributes):
                     for item in section.value:
                         words = " ".join(item.description.split())
                         more = item.annotation if item.name.endswith(",") else ""  # `a, b: text`
                         found |= dict.fromkeys(re.findall(r"\w+", f"{item.name} {more}"), words)
-    return {name: re.sub(r"`[\w.]*\.([\w]+)`", r"`\1`", text) for name, text in found.items()}
+    return {name: _REFERENCE.sub("", text) for name, text in found.items()}
+
+
+def inner_metadata(kind: Any) -> Iterator[Any]:
+    """What is annotated to the members of a union: bounds of a value that may be null."""
+    for one in get_args(kind) if get_origin(kind) in {types.UnionType, Union} else ():
+        for more in getattr(one, "__metadata__", ()):
+            yield from more.metadata if isinstance(more, FieldInfo) else (more,)
 
 
 def own_fields(place: str) -> str:
@@ -203,7 +214,7 @@ def fields(place: str) -> str:
             continue
         bounds = [
             f"{sign} {getattr(one, key):.10g}"
-            for one in field.metadata
+            for one in (*field.metadata, *inner_metadata(field.annotation))
             for key, sign in (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
             if getattr(one, key, None) is not None
         ]
@@ -215,7 +226,7 @@ def fields(place: str) -> str:
 def default(field: FieldInfo) -> str:
     """A default as YAML has it; nothing for an empty one."""
     if field.is_required():
-        return "required"
+        return "" if "by default" in (field.description or "") else "required"
     value = field.get_default(call_default_factory=True)
     if isinstance(value, BaseModel) or value in ((), {}, []):
         return ""

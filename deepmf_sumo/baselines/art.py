@@ -52,7 +52,8 @@ class Settings(AimedSettings):
     """The perturbation and its bounds.
 
     Attributes:
-        form: what is perturbed, see above.
+        form: what is perturbed: the opponent's ``future``, or the ``history`` that the predictor
+            sees.
         reach_m: largest move of a point of the future.
         history_reach_m: largest move of a point of the history.
         restarts, iterations: descents, and gradient steps of each at most.

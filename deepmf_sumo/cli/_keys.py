@@ -37,7 +37,7 @@ class SweepKeys(Strict):
     max_minutes: float | None = Field(
         default=None,
         gt=0,
-        description="no run starts later: exit code 130, and --resume does the others",
+        description="no run starts after this time: exit code 130, --resume continues",
     )
     gui: bool = Field(default=False, description="each run is shown in sumo-gui, one at a time")
     junit: bool = Field(default=False, description="junit.xml is written into the folder")
@@ -55,7 +55,9 @@ class LiveKeys(Strict):
     """Attacks on a running simulation; times in seconds of the simulation."""
 
     pause_s: float = Field(default=5.0, ge=0, description="time without an attack after each")
-    attacks: int | None = Field(default=None, ge=1, description="number after which it leaves")
+    attacks: int | None = Field(
+        default=None, ge=1, description="number of attacks after which the command ends"
+    )
     http: int | None = Field(
         default=None,
         ge=0,
@@ -67,9 +69,11 @@ class LiveKeys(Strict):
 class AttachKeys(LiveKeys):
     """Where SUMO is, and how long to wait for it."""
 
-    order: int = Field(default=2, description="number of this client at SUMO")
-    wait_s: float = Field(default=10.0, ge=0, description="for SUMO to listen on the port, in s")
-    patience_s: float = Field(default=600.0, ge=0, description="for the AV to appear")
+    order: int = Field(default=2, description="this client's number (setOrder)")
+    wait_s: float = Field(
+        default=10.0, ge=0, description="time to wait until SUMO listens on the port"
+    )
+    patience_s: float = Field(default=600.0, ge=0, description="time to wait for the AV")
     net: ExistingPath | None = Field(
         default=None, description="network file; by default that which SUMO names"
     )

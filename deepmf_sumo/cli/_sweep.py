@@ -147,7 +147,7 @@ def _place(out: str) -> tuple[Callable[..., Any], ...]:
         ),
         click.option(
             "--jobs", "-j", type=click.IntRange(1, 4096),
-            help="Make this number of runs at a time.  [default: 1; with Ray all its processors]",
+            help="Execute this number of runs at a time.  [default: 1; with Ray all processors]",
         ),
         click.option(
             "--shard", metavar="I/N",

@@ -31,7 +31,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 )  # fmt: skip
 @click.option(
     "--jobs", "-j", type=click.IntRange(1, 4096), default=1, show_default=True,
-    help="Make this number of repeated runs at a time.",
+    help="Execute this number of repeated runs at a time.",
 )  # fmt: skip
 @format_option
 @click.option("--junit", type=_FILE, help="Write JUnit XML to this file.")

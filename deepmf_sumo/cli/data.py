@@ -31,9 +31,10 @@ def command() -> None:
 def list_scenes(data: tuple[Path, ...], form: str) -> None:
     """List the scenes of recorded files and folders, and say which of them can be used.
 
-    DATA: WOMD TFRecords (plain or gzip), ScenarioNet pickles, GPUDrive or Nocturne JSON, or .npz
-    files of deepmf-sumo; the format is found by content. A scene is `ok`, `repaired` (with what was
-    repaired), or `refused` (with the reason). Exit code 3 if no scene can be used.
+    DATA: WOMD TFRecords (plain or gzip), folders of Argoverse 2, ScenarioNet pickles, GPUDrive or
+    Nocturne JSON, or .npz files of deepmf-sumo; the format is found by content. A scene is `ok`,
+    `repaired` (with what was repaired), or `refused` (with the reason). Exit code 3 if no scene can
+    be used.
     """
     from deepmf_sumo.cli._screen import emit, wide
     from deepmf_sumo.report import scene_table

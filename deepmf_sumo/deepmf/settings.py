@@ -64,16 +64,16 @@ class Form(Strict):
     Attributes:
         preset: ``paper`` is the method as published: one opponent, only the predictor's modes,
             reactions to all of them, Eq. 5 (or the text's pair), no comfort and no constraint; what
-            contradicts that is refused. An opponent may be named (also ``labelled``); of those
-            that are chosen only vehicles: the published network scores no people.
+            contradicts that is refused. An opponent may be named, or ``labelled``. Else only
+            vehicles are chosen: the published network scores no people.
             ``extended`` adds all that the other settings say.
         tried_opponents: number of top-scored vehicles to make a first plan for. The highest-scored
             one whose best candidate has at least 95 % of the largest collision mass attacks: a
             vehicle that interacts with the AV need not be able to reach it. 1 as published; more
             only with ``argmax`` and ``partner``. Null: 3 with these, else 1.
         likelihood_weight: exponent on P(OV) in the rules ``expected`` and ``pair``; 1 as published.
-        comfort_weight: P(OV) falls with the mean square acceleration and with the time off the
-            road, see `deepmf.candidates`, s4/m2. Null: 1 for the choices of the likeliest
+        comfort_weight: P(OV) falls with the mean square acceleration (s4/m2) and with the time off
+            the road (`deepmf.candidates`). Null: 1 for the choices of the likeliest
             (``likeliest``, ``aggressiveness``), 0, as published, in the paper's product.
         candidates: modes of the opponent (N1).
         goal_candidates: maximum number of further candidates that end near the AV's predicted
@@ -126,10 +126,10 @@ class Settings(plugins.Settings):
             trained on labelled partners; ``labelled``: the partner that the recording names; else
             the id of a vehicle, pedestrian or cyclist.
         attackers: who is chosen from: ``vehicles``, ``people`` (pedestrians and cyclists) or
-            ``all``; see `deepmf.opponent` for the scores of people. Of ``all``, the highest-scored
-            vehicle and the highest-scored person are among those that are tried (from 2 on).
-        rule: see `deepmf.scoring`. Specs of versions 2 and 3 that say nothing have ``likeliest`` in
-            the form ``extended``; these settings know of no versions.
+            ``all`` (`deepmf.opponent`). Of ``all``, the highest-scored vehicle and the
+            highest-scored person are among those that are tried (from 2 on).
+        rule: how a candidate is chosen (`deepmf.scoring`). A spec of version 2 or 3 without it has
+            ``likeliest`` in the form ``extended``; in Python the default is ``expected``.
         accel_mps2, brake_mps2, lateral_mps2: limits on the opponent's accelerations. Pedestrians
             and cyclists also keep to those of their class (`scene.road_users`).
         sector: the side of the AV to hit, in steps of 45 degrees (`scene.geometry.impact.SECTORS`).

@@ -41,7 +41,11 @@ _DATE: Final = "2020-01-01"
 
 
 class Settings(plugins.Settings):
-    """``av``: whether the AV is the problem to be solved, or an obstacle that drove as it did."""
+    """What the AV is.
+
+    Attributes:
+        av: ``problem``: a planning problem; ``obstacle``: one more vehicle, which drives as it did.
+    """
 
     av: Literal["problem", "obstacle"] = "problem"
 

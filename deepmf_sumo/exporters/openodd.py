@@ -40,7 +40,11 @@ _CREATED: Final = "1970-01-01T00:00:00+00:00"
 
 
 class Settings(plugins.Settings):
-    """``odd``: a binding file of openodd-py; empty for the ODD that comes with it."""
+    """The domain.
+
+    Attributes:
+        odd: a binding file of openodd-py; empty: the ODD that comes with it.
+    """
 
     odd: str = ""
 

@@ -8,7 +8,11 @@ from deepmf_sumo.scene.geometry import frames
 
 
 class Settings(PluginSettings):
-    """``follow_route``: keep the speed along the route instead of going straight on."""
+    """What it keeps.
+
+    Attributes:
+        follow_route: keep the speed along the route instead of going straight on.
+    """
 
     follow_route: bool = False
 

@@ -39,6 +39,12 @@ class Settings(PluginSettings):
         perception: ``lane`` or ``corridor``.
         parameters: ``treiber`` or ``metadrive``.
         margin_m: the corridor is wider than the AV by this on both sides.
+        accel_mps2: largest acceleration; null: of ``parameters``.
+        decel_mps2: usual braking; null: of ``parameters``.
+        emergency_mps2: hardest braking; null: of ``parameters``.
+        headway_s: time gap to the vehicle ahead; null: of ``parameters``.
+        gap_m: least gap to the vehicle ahead; null: of ``parameters``.
+        exponent: of the speed over the desired speed; null: of ``parameters``.
         desired_mps: if null, the larger of the speed limit and the recorded maximum.
     """
 

@@ -93,14 +93,16 @@ class Result(TypedDict, total=False):
         network: the configuration; None for recordings.
         parameters: of the planner's car-following model.
         version: the paper's name for the period between plans.
-        method, planner_label, base_method, part: of a plan, see `plans`.
-        profile: the kind of attack, see `spec.profiles`; empty of an adversary that knows none.
+        method: its name, in a plan the plan's. planner_label: the planner's name in tables.
+        base_method: the method without the budget.
+        part: of a plan: ``main``, ``budgets`` or ``figures``.
+        profile: the kind of attack (`spec.profiles`); empty of an adversary that knows none.
         constraints: what held for every candidate of the opponent.
         settings: of planner and adversary, with all defaults.
         setup: the spec of this run alone, of files the names alone.
         inputs: digests of what the run reads: ``source``, ``weights``, ``planner``,
             ``adversary``, ``others`` (code of metrics and readers that is not of this package).
-        draw: how its moment was drawn, see `spec.tasks.Draw`; missing where all moments are spread.
+        draw: how its moment was drawn (`spec.tasks.Draw`); missing where all moments are spread.
         error: why the run failed.
         planner_fault: of a run that failed, what the planner did wrong: ``crashed``, ``hung`` or
             ``nonsense``; empty where it is not the planner's.
@@ -108,16 +110,18 @@ class Result(TypedDict, total=False):
         expectations_broken: sentences of the spec's ``expect``.
         timings: wall times; the only values that differ between equal runs.
         outcome: ``av_opponent`` (a hit), else the earliest other contact, else ``none``.
-        ended: why the episode ended.
-        steps, duration_steps: simulated steps, and those that were asked for.
+        ended: ``contact``, ``time`` or ``av_gone``; of a turn or a live attack also ``other_hit``,
+            ``out_of_reach``, ``gone``, ``too_long``, ``plan_ended`` or ``harmless``.
+        steps: simulated steps. duration_steps: the steps that the spec asks for.
         counterfactual: what tells where the opponent would have been without the attack: ``log``
             (the recording), ``episode`` (the same episode without attack), or ``lane`` (it keeps
             lane and speed, where the episode cannot be repeated). None without an opponent, and in
             results of earlier versions.
         opponent_score: softmax of the scores.
         metrics: by name.
-        finding: of a hit, its `judge.ladder.Verdict`; None for a miss.
-        cause: of a finding, its `judge.causes.Cause`; None for other hits and misses.
+        finding: of a hit, its rung and what decided (`judge.ladder.Verdict`); None for a miss.
+        cause: of a finding, the smallest change of the AV that avoids it (`judge.causes.Cause`);
+            None for other hits and misses.
         samples: the opponent's accelerations, for pooled naturalness.
         plans: their number.
         rules: of all plans: the rule that chose, or why there is no attack.
@@ -126,8 +130,8 @@ class Result(TypedDict, total=False):
         conversion: what was lost when a recording became a network.
         repairs: of the recorded scene.
         turns: the attack of each vehicle, where several attack together or in turn.
-        support: of each plan of an attack with ``supporting``, its first step and
-            `scene.plan.Support`; missing of other attacks.
+        support: of each plan of an attack with ``supporting``, its first step, the supporter and
+            what it blocks (`scene.plan.Support`); missing of other attacks.
         made: people who are not in the demand, see `scene.MadeRoadUser`; missing where nobody was
             made.
     """

@@ -118,7 +118,7 @@ class Av(Strict):
 
 Only = Annotated[
     Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(strict=False)] | None,
-    Field(description="of all road users but the AV only these, from the start on"),
+    Field(description="keep only these road users beside the AV"),
 ]
 
 
@@ -149,7 +149,9 @@ _FASTEST_MPS: Final = ROAD_USERS["bicycle"].motion.fastest_mps
 class GivenPerson(Strict):
     """Somebody whom the spec puts beside the road."""
 
-    road_user: Literal["pedestrian", "bicycle"] = "pedestrian"
+    road_user: Literal["pedestrian", "bicycle"] = Field(
+        default="pedestrian", description="bicycle: a cyclist"
+    )
     position_m: _Point = Field(description="x and y in the network, at the start of the episode")
     heading_rad: float = Field(description="counter-clockwise from east")
     speed_mps: float = Field(
@@ -159,7 +161,9 @@ class GivenPerson(Strict):
         default=(), description="line through the position, from a second before it on to where"
         " it stops; empty: straight on"
     )  # fmt: skip
-    place: PersonPlace | Literal["given"] = "given"
+    place: PersonPlace | Literal["given"] = Field(
+        default="given", description="what results call the place"
+    )
 
 
 class WantedPeople(Strict):
@@ -168,9 +172,9 @@ class WantedPeople(Strict):
     who: Who = Field(
         default="made", description="existing: of the demand; made: put there; or both"
     )
-    count: int = Field(default=3, ge=1, le=12, description="made around each AV, at most")
+    count: int = Field(default=3, ge=1, le=12, description="most people made around each AV")
     places: Annotated[tuple[PersonPlace, ...], Field(strict=False, min_length=1)] = Field(
-        default=PERSON_PLACES, description="where they may be; one at each before a second one"
+        default=PERSON_PLACES, description="places to use; each once before a second person"
     )
     given: Annotated[tuple[GivenPerson, ...], Field(strict=False)] = Field(
         default=(), description="these, and nobody else is made"
@@ -214,7 +218,7 @@ class FromNetwork(_Source):
 
     network: ExistingPath = Field(description="a .sumocfg")
     start_s: float = Field(default=0.0, ge=0, description="seconds that SUMO drives alone")
-    av: Av
+    av: Av = Field(description="id of the vehicle under test")
     sumo_options: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="beside the .sumocfg, as on SUMO's command line"
     )
@@ -231,17 +235,15 @@ class FromNetwork(_Source):
 
 
 class Moments(Strict):
-    """Which vehicles of a network are attacked when; what is not given is chosen.
-
-    ``of`` is a result folder of an attack, or its moments.csv: the same vehicles and times.
-    """
+    """Which vehicles of a network are attacked when; what is not given is chosen."""
 
     count: int | None = Field(
         default=None, ge=1, le=100_000, description="attacks; 10 by default, or one for each time"
     )
     prefer: Literal["both", "spread", "encounters"] = Field(
         default="spread",
-        description="both: spread over places and time, at each place encounters first",
+        description="both (in version 3 the default): spread over places and time, at each place"
+        " encounters first",
     )
     draw: Literal["spread", "promising"] = Field(
         default="spread",
@@ -262,11 +264,16 @@ class Moments(Strict):
         default=None, description="only within the polygons of this GeoJSON or SUMO file"
     )
     from_s: Annotated[float, Field(ge=0)] | Literal["settled"] | None = Field(
-        default=None, description="attack from then on; settled: once the traffic has built up"
+        default=None,
+        description="attack from then on; settled (in version 3 the default): once the traffic has"
+        " built up",
     )
     until_s: float | None = Field(default=None, ge=0, description="look for moments up to then")
     of: Annotated[Path, BeforeValidator(_anywhere), WithJsonSchema({"type": "string"})] | None = (
-        None
+        Field(
+            default=None,
+            description="a result folder of attack, or its moments.csv: the same moments",
+        )
     )
 
     @model_validator(mode="after")
@@ -354,8 +361,8 @@ Scenes = Annotated[
 class FromRecording(_Source):
     """A recorded file, or a folder of them; the format is found by the content."""
 
-    recording: ExistingPath
-    scenes: Scenes = "all"
+    recording: ExistingPath = Field(description="a file or a folder")
+    scenes: Scenes = Field(default="all", description="all, a list of ids, or {first: N}")
     start_s: float = Field(
         default=0.0, ge=0, description="seconds of the recording's future that the log drives alone"
     )
@@ -415,8 +422,10 @@ class Plugin(BaseModel):
 class SearchBudget(Strict):
     """What the adversary may spend on a run, whichever runs out first; else its own default."""
 
-    simulations: int | None = Field(default=None, ge=1)
-    seconds: float | None = Field(default=None, gt=0)
+    simulations: int | None = Field(
+        default=None, ge=1, description="most simulated episodes of a run"
+    )
+    seconds: float | None = Field(default=None, gt=0, description="most wall time of a run")
 
 
 class Turns(Strict):
@@ -425,12 +434,18 @@ class Turns(Strict):
     longest_s: float = Field(default=15.0, ge=3.0, description="longest turn of an opponent")
     reach_m: float = Field(default=80.0, gt=0, description="farther from the AV is out of reach")
     harmless_s: float = Field(
-        default=4.0, gt=0, description="without a plan that meets a predicted AV"
+        default=4.0,
+        gt=0,
+        description="a turn ends after this time without a plan that hits the predicted AV",
     )
     again_after_s: float = Field(
-        default=30.0, ge=0, description="before its next turn, unless no other vehicle can attack"
+        default=30.0, ge=0, description="time before a vehicle attacks again, unless no other can"
     )
-    clear_s: float = Field(default=10.0, ge=0, description="for the AV to be clear of all vehicles")
+    clear_s: float = Field(
+        default=10.0,
+        ge=0,
+        description="time for the AV to move away from all vehicles after a turn",
+    )
 
 
 class Bound(Strict):
@@ -446,11 +461,13 @@ class Expect(Strict):
     av_collision: bool | None = Field(default=None, description="the AV touches another vehicle")
     outcome: (
         Literal["av_opponent", "av_other", "opponent_other", "supporter_other", "none"] | None
-    ) = None
+    ) = Field(default=None, description="of `runs.csv`: who had the decisive contact, if anybody")
     max_contact_speed_mps: float | None = Field(
         default=None, ge=0, description="of every contact of the AV, with whomever"
     )
-    metrics: dict[str, Bound] = Field(default_factory=dict)
+    metrics: dict[str, Bound] = Field(
+        default_factory=dict, description="least and largest value of metrics, by name"
+    )
 
 
 def _weights(value: str, info: ValidationInfo) -> str:
@@ -467,8 +484,11 @@ class Spec(Strict):
     duration_s: float = Field(
         default=8.0, ge=0.1, le=3600, description="length of an episode, unless a hit ends it"
     )
-    traffic: Literal["log", "sumo"] = Field(description="what drives the other vehicles")
-    planner: Plugin = Plugin(name="idm")
+    traffic: Literal["log", "sumo"] = Field(
+        description="what drives the other vehicles; by default log for recordings, sumo for"
+        " networks"
+    )
+    planner: Plugin = Field(default=Plugin(name="idm"), description="what drives the AV")
     av_sees: Literal["all", "in_sight"] = Field(
         default="all",
         description="whom the planner gets to see: all road users, or those that neither vehicles"
@@ -477,17 +497,21 @@ class Spec(Strict):
     profile: ProfileName = Field(
         default=profiles.DEFAULT, description="the kind of attack, see profiles; of version 3"
     )
-    adversary: Plugin = Plugin(name="deepmf")
+    adversary: Plugin = Field(default=Plugin(name="deepmf"), description="the method that attacks")
     opponents: Literal["one", "in_turn"] = Field(
         default="one",
         description="one, whose hit ends the episode; or one after another until it is over, by"
         " default above 15 s",
     )
-    turns: Turns = Turns()
-    budget: SearchBudget = SearchBudget()
-    weights: Annotated[str, AfterValidator(_weights)] = "open"
-    seed: Seed = 0
-    expect: Expect = Expect()
+    turns: Turns = Field(default=Turns(), description="of opponents that attack in turn")
+    budget: SearchBudget = Field(
+        default=SearchBudget(), description="what the adversary may spend on a run"
+    )
+    weights: Annotated[str, AfterValidator(_weights)] = Field(
+        default="open", description="name of a set of networks, or its folder"
+    )
+    seed: Seed = Field(default=0, description="of all random choices of the run")
+    expect: Expect = Field(default=Expect(), description="what must hold in each run: a test")
 
     @model_validator(mode="before")
     @classmethod

@@ -49,7 +49,7 @@ _FINE_RATE: Final = 5e-4
 class Optimisation(Strict):
     """How to train a network; None is the network's default."""
 
-    steps: int | None = Field(default=None, ge=1)
+    steps: int | None = Field(default=None, ge=1, description="gradient steps")
     batch: int | None = Field(default=None, ge=1, description="samples a step")
     rate: float | None = Field(default=None, gt=0, le=1, description="highest learning rate")
     fresh_rate: float | None = Field(
@@ -58,12 +58,14 @@ class Optimisation(Strict):
         le=1,
         description="of layers with random initial weights in a network that has others",
     )
-    weight_decay: float | None = Field(default=None, ge=0, le=1)
+    weight_decay: float | None = Field(default=None, ge=0, le=1, description="of AdamW")
     clip: float | None = Field(default=None, gt=0, description="largest norm of the gradient")
     ema: float | None = Field(
         default=None, ge=0, lt=1, description="decay of the average of the weights; 0: none"
     )
-    precision: Precision | None = None
+    precision: Precision | None = Field(
+        default=None, description="auto: bf16 where the processor has it, else fp32"
+    )
     evaluate_every: int | None = Field(default=None, ge=1, description="steps between evaluations")
     patience: int | None = Field(
         default=None, ge=0, description="evaluations without gain after which to stop; 0: never"
@@ -112,26 +114,34 @@ DataEntries = Annotated[list[Annotated[DataEntry, BeforeValidator(_entry)]], Fie
 """At least one source; a path alone is one without a weight."""
 
 
+OfOne = Annotated[Optimisation, Field(description="the keys above, for this network alone")]
+
+
 class Config(Optimisation):
     """A training: its data, the optimisation, and that of single networks."""
 
     version: Literal[1]
-    data: DataEntries | None = None
-    preset: str | None = None
+    data: DataEntries | None = Field(default=None, description="sources, in place of --data")
+    preset: str | None = Field(default=None, description="sizes, see the table below")
     begin_from: str | None = Field(
         default=None, description="set of weights whose networks give the initial weights"
     )
-    seed: int | None = Field(default=None, ge=0, lt=2**31)
-    licence: str | None = None
-    members: int | None = Field(
-        default=None, ge=1, le=MOST_MEMBERS, description="of the marginal network"
+    seed: int | None = Field(
+        default=None, ge=0, lt=2**31, description="of initial weights and samples"
     )
-    opponent: Optimisation = Optimisation()
-    marginal: Optimisation = Optimisation()
-    conditional: Optimisation = Optimisation()
-    people: Optimisation = Optimisation()
-    strive: Optimisation = Optimisation()
-    diffscene: Optimisation = Optimisation()
+    licence: str | None = Field(default=None, description="written to the card")
+    members: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_MEMBERS,
+        description="number of marginal networks that predict together",
+    )
+    opponent: OfOne = Optimisation()
+    marginal: OfOne = Optimisation()
+    conditional: OfOne = Optimisation()
+    people: OfOne = Optimisation()
+    strive: OfOne = Optimisation()
+    diffscene: OfOne = Optimisation()
 
     def of(self, network: Network) -> Optimisation:
         """How to train one network; its own settings take precedence."""

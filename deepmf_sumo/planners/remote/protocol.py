@@ -36,7 +36,15 @@ class Message(BaseModel):
 
 
 class Model(Message):
-    """Parameters of SUMO's IDM for the AV, for planners that leave the AV to SUMO."""
+    """Parameters of SUMO's IDM for the AV, for planners that leave the AV to SUMO.
+
+    Attributes:
+        accel_mps2: largest acceleration. decel_mps2: usual braking.
+        emergency_mps2: hardest braking.
+        headway_s: time gap to the vehicle ahead. gap_m: least gap to it.
+        exponent: of the speed over the desired speed.
+        desired_mps: null: the larger of the speed limit and the recorded maximum.
+    """
 
     accel_mps2: float = Field(gt=0)
     decel_mps2: float = Field(gt=0)
@@ -140,9 +148,10 @@ class LaneMessage(Message):
     Attributes:
         centre_m: (P, 2) centre line in driving direction. z_m: (P) its heights.
         interpolating: it connects two other lanes, typically inside a junction.
-        next, previous: ids of the lanes after and before it.
+        next: ids of the lanes after it. previous: ids of the lanes before it.
         left, right: ids of the lanes beside it in the same direction.
         left_beside, right_beside: the same, with where they are beside it.
+        left_boundaries, right_boundaries: lines that bound it, with where they do.
         gives_way_to: ids of lanes inside the junction that have priority, and of tracks of trams.
     """
 
@@ -195,6 +204,7 @@ class RoadMessage(Message):
     """The map, as `scene.RoadMap` has it.
 
     Attributes:
+        lines: painted on the road. edges: of the road.
         areas: crosswalks, speed bumps and driveways.
         buildings, water: beside the road.
         footways: areas for people, and tracks of trams; null where the source maps none.
@@ -215,6 +225,8 @@ class Reset(Message):
 
     Attributes:
         episode: its id, in all of its messages: a server may drive several at a time.
+        case: name of the scene. seed: of the planner's random numbers.
+        dt_s: duration of a step.
         first_step: step of the first view. steps: how many follow.
         own_lane: the AV drives on a separate lane, from which SUMO's model sees no other vehicle.
     """
@@ -270,6 +282,9 @@ class ViewMessage(Message):
     """What the planner sees at a step, answered by a command.
 
     Attributes:
+        episode: as in the reset. step: answers repeat it.
+        steps_left: of the episode.
+        agents: all road users that the planner sees, with the AV.
         signals: lane id -> name of its light's state.
         av_path_m: (P, 2) centre line ahead of the AV's front bumper; null off every lane.
         av_recorded_steps: number of the last 10 steps in which the AV moved as recorded.

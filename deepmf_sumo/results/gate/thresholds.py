@@ -67,7 +67,7 @@ class GroupLimits(Strict):
         min_ttc_p05: seconds; the least time to collision that 95 % of the attacked runs keep.
         min_gap_p05: metres; the least gap that 95 % of the attacked runs keep.
         max_delta_v_mps, max_collision_speed_mps: of the worst hit.
-        max_failed_runs: failed, timed out or missing ones.
+        max_failed_runs: failed, timed out or missing runs.
         max_skipped_runs: records that cannot be read.
         min_judged_runs: fewer of them are not enough for a judgement.
         limits: by quantity, the worst value that a run may have; null: any.
@@ -143,8 +143,9 @@ class Thresholds(GroupLimits):
     """Bounds over all runs, and over those of single specs, networks and planners.
 
     Attributes:
-        max_failed_runs: without it a single one is too many.
-        limits: rules of the road and of comfort have some without it, see `quantities.RULES`.
+        max_failed_runs: failed, timed out or missing runs; by default none is allowed.
+        limits: by quantity, the worst value that a run may have; null: any. Rules of the road and
+            of comfort have defaults (`quantities.RULES`).
         specs, networks, planners: by name; ``*`` and ``?`` stand for other characters.
     """
 
