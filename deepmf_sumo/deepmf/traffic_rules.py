@@ -176,6 +176,7 @@ def takes_priority(view: View, driven: LaneFutures) -> Bools:
     for row, lane in enumerate(driven.assignment.lanes):
         first = [view.road.lanes[name] for name in lane.gives_way_to if name in view.road.lanes]
         first = [one for one in first if view.signals.get(one.id) not in FORBIDS]
+        first = [one for one in first if lane.id not in one.gives_way_to]  # as at all-way stops
         if not first or driven.assignment.begins[row]:
             continue
         av_poses = driven.av_position_m, driven.av_heading_rad

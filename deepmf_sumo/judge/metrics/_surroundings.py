@@ -112,11 +112,11 @@ def approaches(episode: Episode) -> list[StopApproach]:
     for line in driving.stop_lines(rollout, episode.case):
         if np.hypot(*(drive.position_m - line.point_m).T).min() < _LIGHT_M:
             x, y = line.point_m.tolist()
-            place = tuple(round(one, 1) for one in (x, y, line.z_m, line.half_m))
+            place = tuple(round(one, 1) for one in (x, y, line.z_m))
             groups.setdefault(place, []).append(line)
     found = []
     for lines in groups.values():
-        left_m = _left_m(drive, road, lines[0])
+        left_m = _left_m(drive, road, max(lines, key=lambda one: one.half_m))
         if np.isfinite(left_m).any():
             lit = [[drive.light(at, one.lane_id) for one in lines] for at in range(len(left_m))]
             halts = np.array([all(one in HALTS for one in each) for each in lit])
@@ -189,14 +189,14 @@ def unexplained(episode: Episode) -> Bools:
     free = drive.steps > rollout.now + round(1.0 / rollout.dt_s)
     free &= ~_someone_ahead(rollout, drive, ground_of(episode.case.road))
     free &= ~_ahead_on_road(episode, drive)
-    free &= ~_own_stops(rollout)[drive.steps]
+    free &= ~own_stops(rollout)[drive.steps]
     if rollout.signals:
         for one in approaches(episode):
             free &= ~(np.isfinite(one.left_m) & ~one.goes)
     return free
 
 
-def _own_stops(rollout: Rollout) -> Bools:
+def own_stops(rollout: Rollout) -> Bools:
     """(T) whether a stop of the AV's route is within 100 m, or the AV stands at it."""
     there = np.zeros(rollout.tracks.steps, bool)
     for event in rollout.events:
@@ -282,5 +282,6 @@ __all__ = [
     "driven_steps",
     "lane_ids",
     "limits_ahead",
+    "own_stops",
     "unexplained",
 ]  # fmt: skip

@@ -18,6 +18,7 @@ from deepmf_sumo.judge.metrics._surroundings import (
     driven_steps,
     lane_ids,
     limits_ahead,
+    own_stops,
     unexplained,
 )
 from deepmf_sumo.judge.metrics.conflict import (
@@ -59,6 +60,8 @@ _REACTION_S: Final = 1.0
 _COMFORTABLE_MPS2: Final = 3.0
 """A driver who can stop with this, a second after the light changed, has to (ITE, yellow times)."""
 _AT_LINE_M: Final = 0.5
+_PARKS_S: Final = 3.0
+"""To a bay and back onto the lane."""
 _ACROSS_LINE_M: Final = 10.0
 _FOLLOWS_MPS: Final = 5.0
 _SLOWER_MPS: Final = 0.01
@@ -155,11 +158,19 @@ def av_right_of_way_taken(episode: Episode) -> float:
         if not on_it.any():
             continue
         begin = int(np.flatnonzero(on_it)[0])
-        first = {one for one in lane.gives_way_to if drive.light(begin, one) not in FORBIDS}
+        first = {
+            one for one in lane.gives_way_to
+            if drive.light(begin, one) not in FORBIDS and not _waits_too(road, one, lane.id)
+        }  # fmt: skip
         rail = drive.light(begin, lane.id) is None and not first <= road.lanes.keys()
         for row in _with_priority(episode, drive, begin, first, rail=rail):
             hardest = max(hardest, _asked_mps2(episode.rollout, drive.steps[on_it], row))
     return min(hardest, CEILING_MPS2)
+
+
+def _waits_too(road: RoadMap, one: str, other: str) -> bool:
+    """Whether a lane gives way to another, as all do to each other at an all-way stop."""
+    return one in road.lanes and other in road.lanes[one].gives_way_to
 
 
 def _with_priority(
@@ -322,11 +333,15 @@ def _gap_s(episode: Episode) -> Floats:
 def av_off_lane(episode: Episode) -> float:
     """Largest distance by which a side of the AV's box, at its middle, is outside of all lanes for
     cars, over the simulated steps up to its first contact at which it is outside of junctions. A
-    change between lanes counts nothing, nor does overtaking on a lane of the other direction.
+    change between lanes counts nothing, nor does overtaking on a lane of the other direction, nor
+    standing at a stop of its own route, with 3 s before and after for the way to a bay.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
     names = lane_ids(episode)
     outside = np.array([bool(one) and not road.lanes[one or ""].interpolating for one in names])
+    stands = (drive.speed_mps < WAITING_MPS) & own_stops(episode.rollout)[drive.steps]
+    beside = np.convolve(stands, np.ones(2 * round(_PARKS_S / episode.rollout.dt_s) + 1), "same")
+    outside &= beside == 0
     aside = frames.unit(drive.heading_rad + np.pi / 2) * drive.size_m[1] / 2
     sides = np.concatenate([drive.position_m + aside, drive.position_m - aside])
     beyond = _beyond_m(road, sides, np.tile(drive.z_m, 2))

@@ -30,7 +30,8 @@ _MOST: Final = 0.75
 _FIRST_S: Final = 2
 """No person gets onto its way sooner."""
 _SETS_OFF_S: Final = 1.0
-_EITHER_S: Final = 0.01
+_EITHER_S: Final = EVERY_S / 2
+"""Moments between two seconds are sighted then, and the seconds later are not."""
 _NEAR_M: Final = 1.0
 """Half of the AV and half of a person."""
 _HURRIES_MPS: Final = {
@@ -439,7 +440,9 @@ class _Later:
     def __call__(self, values: Floats, seconds: int) -> Floats:
         """(K, ...) of values (K, ...); nan where the vehicle is not there then."""
         wanted, key = self._key + seconds, self._key[self._order]
-        at = np.minimum(np.searchsorted(key, wanted - _EITHER_S), len(key) - 1)
+        above = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        below = np.maximum(above - 1, 0)
+        at = np.where(wanted - key[below] < key[above] - wanted, below, above)
         later = np.array(values[self._order[at]], float)
         later[np.abs(key[at] - wanted) > _EITHER_S] = np.nan
         return later

@@ -99,7 +99,9 @@ class OwnStop:
             return False
         edge, _, index = stops[0].lane.rpartition("_")
         place = (edge, stops[0].endPos, int(index))
-        return 0.0 <= self._vehicle.getDrivingDistance(self._id, *place) <= OWN_STOP_M
+        if 0.0 <= self._vehicle.getDrivingDistance(self._id, *place) <= OWN_STOP_M:
+            return True
+        return bool(self._vehicle.isStopped(self._id))  # it may stand a hair's breadth beyond
 
 
 @dataclass(frozen=True, slots=True)
