@@ -13,6 +13,8 @@ _HIDDEN: Final = re.compile(
 )
 
 _FORMULA: Final = re.compile("'*[=+@\t\r-]")
+_REVERSE_EDGE: Final = re.compile(r"-\d+(#\d+)?(_\d+)?", re.ASCII)
+"""Edges and lanes of the other direction, as netconvert names those of OpenStreetMap."""
 
 
 def is_plain(text: str) -> bool:
@@ -28,9 +30,11 @@ def shown(text: str) -> str:
 def cell(text: str) -> str:
     """The text as a cell of a CSV table, in which no spreadsheet takes it for a formula.
 
-    Numbers, and what cannot be a formula, stay as they are. `of_cell` gives the text back.
+    Numbers, ids such as ``-123#0``, and what cannot be a formula, stay as they are. `of_cell` gives
+    the text back.
     """
-    return f"'{text}" if _FORMULA.match(text) and not _is_number(text) else text
+    safe = not _FORMULA.match(text) or _REVERSE_EDGE.fullmatch(text) or _is_number(text)
+    return text if safe else f"'{text}"
 
 
 def of_cell(text: str) -> str:

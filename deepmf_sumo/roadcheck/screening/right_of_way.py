@@ -4,7 +4,7 @@ from typing import Final
 
 from deepmf_sumo.roadcheck.screening.findings import Case, Judged
 from deepmf_sumo.roadcheck.screening.guidelines import KMH, Guideline
-from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, Way
+from deepmf_sumo.roadcheck.screening.roads import SignalledNetwork, Way, common_place
 
 _SLOW_MPS: Final = 30 * KMH
 """Up to this limit a junction without any rule of priority is a warning, above it an error."""
@@ -28,7 +28,11 @@ def judge(roads: SignalledNetwork, book: Guideline, found: Judged) -> None:
                 found.not_judged["right of way of connections without a request"] += 1
             elif _opposed(roads, one, two):
                 found.not_judged["oncoming movements that share a lane on purpose (bidi)"] += 1
-            elif not (_has_rule(one, two) or roads.waits(one, two) or roads.waits(two, one)):
+            elif _has_rule(one, two) or roads.waits(one, two) or roads.waits(two, one):
+                continue
+            elif common_place(one, two) is None:  # the network calls them foes all the same
+                found.not_judged["right of way of foes whose ways do not come near each other"] += 1
+            else:
                 _nobody(one, two, found)
         if junction.type in _BY_RIGHT and pairs:
             _by_right(roads.ways[junction.id], book, found)

@@ -132,7 +132,9 @@ def test_an_av_that_drives_on_takes_the_priority_of_a_tram(tmp_path):
     for tram_at_m in (10, 25, 40, 55, 70, 85):
         demand = TRUCK + TRAM
         demand += vehicle("av", "wm me", 'departPos="60" departSpeed="10"', kind="lorry")
-        demand += vehicle("tram", "sm mn", f'departPos="{tram_at_m}" departSpeed="13.5"', kind="tram")
+        demand += vehicle(
+            "tram", "sm mn", f'departPos="{tram_at_m}" departSpeed="13.5"', kind="tram"
+        )
         case = case_of(tmp_path, demand)
         rollout = simulate(case, planner, None, rng=np.random.default_rng(0))
         taken += [one.value for one in measure(rollout, case, ["av_right_of_way_taken"])]

@@ -1,7 +1,10 @@
 """Each rule on a network in which one thing is wrong; sound ones have no such finding."""
 
+import itertools
 import re
+import xml.etree.ElementTree as ET
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -10,9 +13,10 @@ import sumolib
 from deepmf_sumo.cli import _moments
 from deepmf_sumo.roadcheck.screening import GUIDELINES, right_of_way, screen, signals
 from deepmf_sumo.roadcheck.screening.findings import Judged
-from deepmf_sumo.roadcheck.screening.roads import opened
+from deepmf_sumo.roadcheck.screening.roads import common_place, opened
 from deepmf_sumo.sumo.network import sumo_tools
 
+NETS = Path(__file__).resolve().parents[3] / "sumo_nets"
 PHASE = '<phase duration="32" state="GGGrrrrrGGGrrrrr" name="n-s straight"/>'
 YELLOW = '<phase duration="3"  state="yyyrrrrryyyrrrrr"/>'
 RED = '<phase duration="2"  state="rrrrrrrrrrrrrrrr"/>'
@@ -32,6 +36,29 @@ def test_sound_networks(changed):
     assert rules(changed("highway")) == {"speed_step"}, "120 to 80 km/h on the off-ramp"
     assert rules(changed("four_way")) == {"intergreen", "permissive_left"}
     assert rules(changed("arterial")) == {"intergreen", "permissive_left"}, "3 s and no red"
+
+
+def test_foes_whose_ways_are_apart_need_no_rule(tmp_path):
+    """Networks call ways foes that pass beside each other: who gives way there does not matter."""
+    file = NETS / "arterial" / "arterial.net.xml"
+    roads = opened(file)
+    one, two = next(
+        (one, two) for ways in roads.ways.values() for one, two in itertools.combinations(ways, 2)
+        if one.lane.edge != two.lane.edge and not (one.link.light or two.link.light)
+        and None not in {one.row, two.row} and common_place(one, two) is None
+    )  # fmt: skip
+    tree = ET.parse(file)
+    [junction] = [each for each in tree.iter("junction") if each.get("id") == one.junction]
+    for mine, its in ((one.row, two.row), (two.row, one.row)):
+        request = junction.findall("request")[mine]
+        bits = list(request.get("foes"))
+        bits[-1 - its] = "1"
+        request.set("foes", "".join(bits))
+    tree.write(tmp_path / "a.net.xml")
+    before, after = (screen(net, GUIDELINES["rilsa"]) for net in (file, tmp_path / "a.net.xml"))
+    assert rules(after) == rules(before)
+    new = Counter(after.not_judged) - Counter(before.not_judged)
+    assert new == {"right of way of foes whose ways do not come near each other": 1}
 
 
 @pytest.mark.sumo
