@@ -340,8 +340,8 @@ def av_off_lane(episode: Episode) -> float:
     names = lane_ids(episode)
     outside = np.array([bool(one) and not road.lanes[one or ""].interpolating for one in names])
     stands = (drive.speed_mps < WAITING_MPS) & own_stops(episode.rollout)[drive.steps]
-    beside = np.convolve(stands, np.ones(2 * round(_PARKS_S / episode.rollout.dt_s) + 1), "same")
-    outside &= beside == 0
+    apart = np.abs(np.subtract.outer(np.arange(0.0, len(stands)), np.flatnonzero(stands)))
+    outside &= apart.min(axis=1, initial=np.inf) * episode.rollout.dt_s > _PARKS_S
     aside = frames.unit(drive.heading_rad + np.pi / 2) * drive.size_m[1] / 2
     sides = np.concatenate([drive.position_m + aside, drive.position_m - aside])
     beyond = _beyond_m(road, sides, np.tile(drive.z_m, 2))

@@ -231,6 +231,10 @@ def test_out_of_its_lane():
     """2 m wide on a lane of 3.5 m: 1.5 m aside its side is 0.75 m beyond the edge."""
     assert value("av_off_lane", straight(60, 1.5, 12)) == pytest.approx(0.75)
     assert value("av_off_lane", straight(60, 0.7, 12)) == 0.0
+    short = {"av": straight(60, 1.5, 12, steps=21), "b": straight(0, -500, 10, steps=21)}
+    case = dataclasses.replace(in_traffic(case_of()), road=ROAD)
+    found = own()["av_off_lane"].measure(rollout_of(short), case)
+    assert found.value == pytest.approx(0.75), "an episode shorter than the way to a bay"
 
 
 def test_a_repeated_command():
