@@ -32,6 +32,7 @@ from deepmf_sumo.sumo.network.sumo_net import (
     elements,
     going_first,
     junction_of,
+    number,
     points,
     read_once,
 )
@@ -223,10 +224,14 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     lines, edges = borders(net, lanes)
     shapes = [shape for file in additional for shape in _polygons(file)]
     goes_first, known = going_first(net), lanes.keys() | _tracks(net)
+    shown_mps: dict[str, float] = defaultdict(float)
+    for name, limit_mps in (sign for file in additional for sign in _speed_signs(file)):
+        shown_mps[name] = max(shown_mps[name], limit_mps)
     return RoadMap(
         lanes={
             lane.id: replace(
                 _lane(net, edge, lane, lanes, after[lane.id], before[lane.id]),
+                speed_limit_mps=max(lane.speed_mps, shown_mps[lane.id]),
                 gives_way_to=tuple(name for name in goes_first.get(lane.id, ()) if name in known),
             )
             for edge in net.edges.values()
@@ -399,6 +404,23 @@ def _footways(net: NetFile, known: Container[str]) -> Iterator[Polygon]:
                     points_m=shape[:, :2],
                     z_m=shape[:, 2],
                 )
+
+
+def _speed_signs(file: Path) -> Iterator[tuple[str, float]]:
+    """Lanes with a variable speed sign of an additional file, and the highest limit that it shows.
+
+    Which limit holds when is SUMO's: nobody is said to be too fast, or lawful, by a lower one.
+    """
+    for element in elements(file, "additional"):
+        if element.tag == "variableSpeedSign":
+            named = element.get("file")
+            steps = list(element.iter("step"))
+            steps += elements(file.parent / named, "vss") if named else []
+            try:
+                most = max((number(one, "speed", 0.0) for one in steps), default=0.0)
+            except ValueError as error:
+                raise SimulationError(f"{file} has a wrong <variableSpeedSign>: {error}.") from None
+            yield from ((lane, most) for lane in element.get("lanes", "").split())
 
 
 def _polygons(file: Path) -> list[Polygon]:

@@ -139,3 +139,21 @@ def test_an_av_that_drives_on_takes_the_priority_of_a_tram(tmp_path):
         rollout = simulate(case, planner, None, rng=np.random.default_rng(0))
         taken += [one.value for one in measure(rollout, case, ["av_right_of_way_taken"])]
     assert max(taken) > 3.0
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_variable_speed_sign_that_shows_more_allows_it(tmp_path, apart):
+    """In the additional file, or in a file of its own that this names."""
+    built(tmp_path, "priority", {"wm": "", "me": ""})
+    steps = '<step time="0" speed="20"/><step time="300" speed="8"/><step time="400" speed="-1"/>'
+    (tmp_path / "signs.xml").write_text(f"<vss>{steps}</vss>")
+    named, inside = (' file="signs.xml"', "") if apart else ("", steps)
+    sign = f'<variableSpeedSign id="v" lanes="wm_0 me_0"{named}>{inside}</variableSpeedSign>'
+    demand = vehicle("av", "wm me", 'departPos="5" departSpeed="13.9"')
+    case_of(tmp_path, demand)  # writes the files
+    (tmp_path / "a.add.xml").write_text(f"<additional>{sign}</additional>")
+    case = case_of(tmp_path, demand, steps=100)
+    rollout = plain(case)
+    assert rollout.tracks.speed_mps[rollout.tracks.row("av")].max() > 18.0
+    assert [one.value for one in measure(rollout, case, ["av_over_limit"])] == [0.0]
+    assert case.road.lanes["wm_0"].speed_limit_mps == 20.0
