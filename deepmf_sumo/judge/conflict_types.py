@@ -477,9 +477,11 @@ def _came_rad(
     if road is None or not known:
         return None
     junction = {lane: _of_junction(road, lane) for _, lane in known}
-    left = dropwhile(lambda one: not junction[one[1]], known)
+    left = [*dropwhile(lambda one: not junction[one[1]], known)]
     inside = [*takewhile(lambda one: junction[one[1]], left)]
     if inside and inside[0][0] <= _RECENT_STEPS:
+        if before := left[len(inside) :]:  # the way over the junction need not be one from there
+            return _ends_rad(road, before[0][1])[1]
         return _into_rad(road, inside[-1][1])
     line = road.lanes[known[0][1]].centre_m
     if len(line) < 2:

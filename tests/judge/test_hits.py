@@ -223,6 +223,28 @@ def test_that_whose_light_let_it_go_has_priority(mine, theirs, priority):
     assert hits._by_lights(rollout, pair, road) == priority
 
 
+def test_who_drives_over_a_junction_as_no_lane_leads_came_by_its_own_road():
+    """From the south over a way that belongs to those from the south-east."""
+
+    def lane(name, *points, **named):
+        line = np.array(points, float)
+        return Lane(id=name, kind="street", centre_m=line, z_m=np.zeros(len(line)), **named)
+
+    road = RoadMap(lanes={one.id: one for one in (
+        lane("west", (-80, 6), (-20, 6)),
+        lane("south", (0, -80), (0, -8)),
+        lane("far", (60, -60), (4, -4)),
+        lane("over", (4, -4), (-12, 12), interpolating=True, previous=("far",)),
+    )})  # fmt: skip
+    other = ending(turning(0, 0, 6, np.pi / 2, np.pi / 4, begin=30), -6, 6)
+    av = np.tile([-9.5, 6.0, 0.0], (STEP + 1, 1))
+    rollout = rollout_of({"av": av, "b": other}, [contact_of(step=STEP)])
+    met = Meeting.of(rollout.tracks, ("av", "b"), STEP, road)
+    assert {"south", "over"} <= set(met.lanes[1])
+    assert met.courses[1].came_rad == pytest.approx(np.pi / 2, abs=0.01)
+    assert (met.type, met.side(STEP - 20)) == ("crossing", "right")
+
+
 def test_who_yields_by_the_map_has_no_priority():
     other, _ = MET["crossing right"]
     east = Lane(id="east", kind="street", centre_m=np.array([[-60.0, 0], [60, 0]]), z_m=np.zeros(2))
