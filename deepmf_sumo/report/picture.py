@@ -17,6 +17,7 @@ from deepmf_sumo.judge.conflict_types import ACROSS, Side
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode
 from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.figures.episode import met_at
 from deepmf_sumo.report.map_layers import LAYERS, features
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS
@@ -44,13 +45,16 @@ WIDEST_M: Final = 260.0
 FRAME_PX: Final = 480
 FRAME_M: Final = 90.0
 """Side of the picture of a view."""
+_HEIGHT_IN: Final = 9.8
+_ROWS, _ROW_IN = 5, 0.18
+"""Rows of the legend that have room in this height, and what each more takes."""
 EVERY_STEPS: Final = 10
 """Boxes along a driven path: one a second."""
 
 
 def draw(rollout: Rollout, case: Case, path: Path) -> None:
     """Write a PNG; the same rollout gives the same bytes."""
-    figure = Figure(figsize=(8.0, 9.8), dpi=110, layout="constrained")
+    figure = Figure(figsize=(8.0, _HEIGHT_IN), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     plan = _explained(rollout)
@@ -68,6 +72,8 @@ def draw(rollout: Rollout, case: Case, path: Path) -> None:
         _contact(axes, rollout, contact, window)
     _finish(axes, window, _title(rollout, case, contact), north=isinstance(case, TrafficCase))
     handles = [*_handles(rollout, scores, plan), *_map_handles(case.road, window)]
+    rows = -(-len(handles) // 2)
+    figure.set_figheight(_HEIGHT_IN + _ROW_IN * max(rows - _ROWS, 0))
     # below the map: on it, it would hide road users
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(path, metadata={"Software": None})
@@ -218,7 +224,7 @@ def _contact(axes: Axes, rollout: Rollout, contact: Contact, window: ViewWindow)
     rows = [rollout.tracks.row(agent) for agent in (contact.first_id, contact.second_id)]
     there = [(row, contact.step) for row in rows if rollout.tracks.valid[row, contact.step]]
     draw_boxes(axes, rollout.tracks, there, ["none"], window, Outline(edge=CONTACT, zorder=8))
-    middle = (contact.pose_first[:2] + contact.pose_second[:2]) / 2
+    middle = met_at(rollout.tracks, contact)
     axes.plot(*middle, marker="x", color="white", markersize=15, markeredgewidth=5, zorder=10)
     axes.plot(*middle, marker="x", color=CONTACT, markersize=13, markeredgewidth=2.5, zorder=11)
 
