@@ -199,7 +199,8 @@ def _shapes(rollout: Rollout, replayed: Bools) -> str:
             tracks.size_m[row, :2],
         )
         points = " ".join(f"{x:.3f},{y:.3f}" for x, y in corner)
-        name = quoteattr("box_" + tracks.ids[row])
+        # a person's agent has a blank in its id, which SUMO refuses; no vehicle's has one
+        name = quoteattr("box_" + tracks.ids[row].replace(" ", "__"))
         lines.append(
             f'    <poly id={name} type="{tracks.kinds[row]}" color="{_COLOURS["other"]}" '
             f'fill="1" layer="5" shape="{points}"/>'

@@ -87,6 +87,21 @@ def test_fcd_has_everybody_and_the_parked_car_is_a_polygon(exported):
     assert 'id="box_parked"' in (folder / fcd.SHAPES).read_text()
 
 
+def test_sumo_takes_the_polygon_of_a_person(exported, tmp_path):
+    _, folder = exported
+    waits = np.tile([60.0, 9.0, 0.0], (91, 1))
+    rollout = rollout_of({"av": straight(60, 0, 12), "person p.1": waits}, opponent_id=None)
+    rollout = replace(rollout, tracks=replace(rollout.tracks, kinds=("vehicle", "pedestrian")))
+    present = rollout.tracks.valid & np.array([[True], [False]])
+    shapes = tmp_path / "shapes.add.xml"
+    shapes.write_text(fcd._shapes(rollout, present))
+    assert shapes.read_text().count("<poly") == 1
+    program = Path(sumo.SUMO_HOME) / "bin" / "sumo"
+    command = [program, "-n", folder / fcd.NET, "-a", shapes, "--end", "1"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("links", [True, False])
 def test_where_all_are_replayed_the_disk_holds_them_once(tmp_path, monkeypatch, links):
     def refused(*_):
