@@ -217,6 +217,8 @@ def _happened_with_person(one: Failure) -> str:
         return ""
     else:
         came = f"came from {_from(one)}"
+    if {"ran_into_side", "ran_into_rear"} & {*one.reasons}:
+        return f"A {other} who {came}{behind} ran into the AV; it {did}"
     return f"The AV hit a {other} who {came}{behind}; it {did}"
 
 
