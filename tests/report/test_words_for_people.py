@@ -63,6 +63,13 @@ def test_over_the_road_and_on_a_crossing():
     )
 
 
+def test_who_ran_into_the_side_of_the_av_was_not_hit_by_it():
+    door = Drawn(walks(29.5, 7.3, (9, 2.0), heading=-np.pi / 2))
+    said = sentence(episode(AV, door, road=STREET))
+    assert said.startswith("A pedestrian who stepped onto the road from the left ran into the AV;")
+    assert "the pedestrian ran into the AV's side" in said
+
+
 @pytest.mark.parametrize(
     ("y", "degrees", "side"),
     [(-7.0, 155.0, "the right"), (7.0, -155.0, "the left"), (-0.4, 180.0, "ahead")],
