@@ -17,6 +17,7 @@ from deepmf_sumo.sumo.network.sumo_net import TURNS
 from deepmf_sumo.sumo.simulation.frame import Pose
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.on_foot import WALK_MPS, Walk
+from deepmf_sumo.sumo.simulation.on_lane import OwnWay
 from deepmf_sumo.sumo.simulation.person_control import SEEN_ON_ANY_LANE, PersonControl
 from deepmf_sumo.sumo.simulation.road_users import kind_of
 from deepmf_sumo.sumo.simulation.sumo_api import MADE_TYPE, MATCH_M, SumoApi
@@ -279,6 +280,7 @@ class _Taken:
     length_m: float
     route: tuple[str, ...]
     stops: bool
+    made: bool
     rides: bool
     pose: Pose
 
@@ -306,6 +308,7 @@ class Takeover:
         self._events = events
         self._leaves = leaves
         self._ends = NetworkEnds(api)
+        self._own_way = OwnWay(api)
         self._footways = cache(footways)
         self._hand_over = HandOver(api, self._footways)
         self._taken: dict[AgentId, _Taken] = {}
@@ -337,7 +340,18 @@ class Takeover:
         taken.pose = pose
         self._hand_over.fit(agent, pose, length_m)
         seen = taken.rides and self._on_street(agent, pose, length_m)
-        move(self._api, agent, pose, length_m, MATCH_M, on_route=taken.stops, any_lane=seen)
+        on_route = taken.stops or self._on_its_way(taken, pose)
+        move(self._api, agent, pose, length_m, MATCH_M, on_route=on_route, any_lane=seen)
+
+    def _on_its_way(self, taken: _Taken, pose: Pose) -> bool:
+        """Whether it is on its route, from which SUMO has not taken it yet."""
+        if taken.rides or taken.made:
+            return False
+        if tuple(self._api.vehicle.getRoute(taken.agent)) != taken.route:
+            return False
+        place = pose.x_m, pose.y_m
+        front, _ = frames.to_sumo(place, pose.heading_rad, taken.length_m)
+        return self._own_way.has(taken.agent, front, pose.heading_rad)
 
     def _take(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> _Taken:
         route = tuple(self._api.vehicle.getRoute(agent))
@@ -349,8 +363,9 @@ class Takeover:
         rides = not made and kind_of(str(self._api.vehicle.getVehicleClass(agent))) == "cyclist"
         self._hand_over.take(agent)
         return _Taken(
-            agent=agent, length_m=length_m, route=route, stops=stops, rides=rides, pose=pose
-        )
+            agent=agent, length_m=length_m, route=route, stops=stops, made=made, rides=rides,
+            pose=pose,
+        )  # fmt: skip
 
     def after_step(self) -> None:
         """Tell SUMO the speeds, which it would otherwise derive from how far `moveToXY` moved."""

@@ -28,6 +28,7 @@ def sumo(there, options=None, classes=None):
     vehicle = SimpleNamespace(
         getIDList=lambda: tuple(there),
         getRoute=lambda agent: ("ab",),
+        getRouteIndex=lambda agent: -1,
         getTypeID=lambda agent: "car",
         getLaneID=lambda agent: "",
         getLanePosition=lambda agent: 50.0,
