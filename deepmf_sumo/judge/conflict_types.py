@@ -15,7 +15,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from deepmf_sumo.judge.accident_types import CUT_IN_S, came_from_beside
-from deepmf_sumo.scene import DT_S, AgentKind, Floats, Ints, RoadMap, Tracks
+from deepmf_sumo.scene import DT_S, AgentKind, Floats, Ints, Lane, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.sumo.network.matching import match
@@ -216,8 +216,20 @@ def _joins(road: RoadMap | None, av: Course, opponent: Course) -> bool:
     """Whether the two came on different roads, neither of which leads into the other."""
     if road is None or not av.lanes or not opponent.lanes:
         return False
-    mine, theirs = (_ahead(road, one.lanes[0]) for one in (av, opponent))
-    return opponent.lanes[0] not in mine and av.lanes[0] not in theirs
+    own, other = (_from(road, one.lanes[0]) for one in (av, opponent))
+    return other not in _ahead(road, own) and own not in _ahead(road, other)
+
+
+def _from(road: RoadMap, lane: str) -> str:
+    """The lane of a road that leads to a lane of a junction; itself where none is known."""
+    back = lane
+    for _ in range(_HOPS):
+        before = road.lanes[back].previous if _of_junction(road, back) else ()
+        known = [name for name in before if name in road.lanes]
+        if not known:
+            break
+        back = known[0]
+    return lane if _of_junction(road, back) else back
 
 
 def _meet(road: RoadMap | None, av: Course, opponent: Course) -> bool:
@@ -410,9 +422,26 @@ class Meeting:
         askew = _angle(self.tracks.heading_rad[row, step], float(place.heading_rad[0]))
         aside_m = float(place.distance_m[0])
         beyond_m = aside_m + (self.tracks.size_m[row, 1] - width_m(known)) / 2
+        if beyond_m > _OVER_M and self._beside(known, self.tracks.position_m[row, step]):
+            beyond_m = 0.0  # it changes between lanes of one direction
         if loosely and _of_junction(self.road, lane):
             return askew > _TURNED_RAD or beyond_m > _OVER_AT_JUNCTION_M
         return askew > _ASKEW_RAD or beyond_m > _OVER_M
+
+    def _beside(self, lane: Lane, place_m: Floats) -> bool:
+        """Whether a place beside a lane is towards one beside it, and not beyond that."""
+        road = self.road
+        for one in (*lane.left, *lane.right):
+            other = None if road is None else road.lanes.get(one.lane_id)
+            if other is None or len(other.centre_m) < 2:
+                continue
+            away = [
+                float(polylines.project(each.centre_m, place_m[None]).distance_m[0])
+                for each in (lane, other)
+            ]
+            if sum(away) <= (width_m(lane) + width_m(other)) / 2 + _OVER_M:
+                return True
+        return False
 
     def driven(self, which: int) -> list[str]:
         """The lanes of AV (0) or opponent (1), in order, and those that follow the last."""

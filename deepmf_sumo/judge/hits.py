@@ -17,7 +17,7 @@ from deepmf_sumo.judge.avoidability.intention import emerged_from, is_person
 from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
-from deepmf_sumo.scene import RoadMap, Rollout, Tracks
+from deepmf_sumo.scene import Floats, RoadMap, Rollout, Tracks
 from deepmf_sumo.scene.geometry.slow import STANDING_MPS, WAITING_MPS
 from deepmf_sumo.scene.road_users import road_user
 from deepmf_sumo.scene.signals import FORBIDS, GOES, STOP_FIRST
@@ -176,11 +176,18 @@ def _action(tracks: Tracks, av: int, onset: int, contact: int, road: RoadMap | N
         return "stopped"
     if road is not None and _steers(tracks, av, onset, contact, road):
         return "steered"
-    if speed.max() - speed[-1] > _CHANGED_MPS:
+    return _by_speed(speed)
+
+
+def _by_speed(speed: Floats) -> Action:
+    """Of speeds (K) without a stop: what changed most up to the end."""
+    lost = float(speed.max() - speed[-1])
+    won = float(speed[-1] - speed[speed.argmax() :].min())  # it may brake, and then drive on
+    if lost > _CHANGED_MPS and lost >= won:
         return "braked"
     if speed[0] <= STANDING_MPS:
         return "set off"
-    return "accelerated" if speed[-1] - speed[0] > _CHANGED_MPS else "held speed"
+    return "accelerated" if max(won, speed[-1] - speed[0]) > _CHANGED_MPS else "held speed"
 
 
 def _braking(tracks: Tracks, av: int, onset: int, contact: int, dt_s: float) -> tuple[bool, float]:

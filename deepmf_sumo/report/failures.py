@@ -55,6 +55,7 @@ _WAITING: Final = {
 """Where it is the AV that turns, merges or changes lanes, a careful driver waits."""
 _WAITED: Final = {"turn": "turn {turn}", "merging": "merge"}
 """What an AV that stood waited for."""
+_BRAKES_MPS2: Final = 1.0
 _WHO: Final = {"bicycle": "cyclist"}
 """Who rides what the opponent is called."""
 _REACTS: Final = "0.75 s after the danger showed"
@@ -223,6 +224,8 @@ def _happened_with_person(one: Failure) -> str:
 
 
 def _did(one: Failure) -> str:
+    if one.action == "steered" and one.braking_mps2 >= _BRAKES_MPS2:
+        return f"steered and braked with up to {one.braking_mps2:.0f} m/s2"
     if one.action != "braked":
         return _DID[one.action or "held speed"]
     return f"braked{' late' * one.late} with up to {max(one.braking_mps2, 1.0):.0f} m/s2"

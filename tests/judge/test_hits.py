@@ -280,3 +280,18 @@ def test_a_hit_is_described_without_a_result_folder():
     # 0.5 m less than the log after 0.5 s of braking with 4 m/s2
     assert hit.onset == pytest.approx(10 + 5, abs=1)
     assert hit_of(Episode(rollout_of(paths), case)) is None
+
+
+@pytest.mark.parametrize(
+    ("speeds", "action"),
+    [
+        ([12, 10, 8, 6], "braked"),
+        ([11.3, 9, 7.8, 9, 10], "accelerated"),
+        ([12, 8, 9, 9.5], "braked"),
+        ([8, 8.2, 8.4], "held speed"),
+        ([8, 9, 10], "accelerated"),
+        ([0, 1, 3], "set off"),
+    ],
+)
+def test_what_the_av_did_is_what_changed_most_up_to_the_hit(speeds, action):
+    assert hits._by_speed(np.array(speeds, float)) == action

@@ -384,3 +384,14 @@ def test_drivers_that_brake_into_a_supporter_avoid_nothing():
     """It follows 7 m behind, does not brake, and hits whoever does; swerving still helps."""
     found = with_supporter(driven(10, x=-12))
     assert found.avoided_by == ("search",)
+
+
+def test_an_av_between_two_lanes_has_not_left_its_own():
+    """An oncoming car drives on the AV's side; the AV evades to the lane beside."""
+    oncoming = driven(8, x=70, y=3.2, heading=np.pi)
+    av = aside(driven(8), 1.7, 20)
+    one = episode_of(av, oncoming)
+    hit = hit_of(one)
+    assert (hit.conflict, hit.strayed) == ("head-on", True)
+    assert verdict(one).opponent_error == "left_lane"
+    assert verdict(one).av_error == ""

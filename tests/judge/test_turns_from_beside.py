@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deepmf_sumo.judge.conflict_types import Course, conflict_type
 from deepmf_sumo.judge.hits import hit_of
 from deepmf_sumo.judge.ladder import verdict
 from deepmf_sumo.judge.metrics import Episode
@@ -94,6 +95,23 @@ def test_who_turns_across_the_lane_beside_waits_for_it(
         assert happened(hit) == title
     assert "A" in hits
     assert len(hits) >= 3
+
+
+@pytest.mark.sumo
+@pytest.mark.parametrize(("options", "to", "turn"), SIDES)
+def test_lanes_inside_the_junction_alone_tell_the_same(options, to, turn, tmp_path):
+    """As conflicts of plain traffic are told, by the lanes of the second before."""
+    road = built(tmp_path, "cyclist", *options)
+
+    def course(edge, begin, size_m):
+        inside = way(road, begin, edge)[1]
+        line = road.lanes[inside].centre_m
+        heading = float(np.arctan2(*(line[1] - line[0])[::-1]))
+        return Course.on_lanes(road, (inside,), line[0], heading, np.array(size_m[:2]))
+
+    car, rider = course(to, "wm_1", CAR), course("me", "wm_0", RIDER.size_m)
+    assert conflict_type(car, rider, road, from_beside=True) == f"{turn} turn across path"
+    assert conflict_type(rider, car, road, from_beside=True) == f"{turn} turn across path"
 
 
 @pytest.mark.sumo
