@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap
@@ -13,7 +14,7 @@ from matplotlib.path import Path
 
 from deepmf_sumo.report import palette
 from deepmf_sumo.report.map_layers import LAYERS, MapLayer, features
-from deepmf_sumo.scene import Floats, RoadMap, Tracks
+from deepmf_sumo.scene import Contact, Floats, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes
 
 SCORES: Final = LinearSegmentedColormap.from_list(
@@ -166,3 +167,18 @@ def draw_boxes(
             zorder=outline.zorder,
         )
     )
+
+
+def met_at(tracks: Tracks, contact: Contact) -> Floats:
+    """(2,) middle of the overlap of the two boxes; between their centres where there is none."""
+    poses = contact.pose_first, contact.pose_second
+    agents = contact.first_id, contact.second_id
+    sizes = [tracks.size_m[tracks.row(agent), :2] for agent in agents]
+    first, second = (
+        shapely.Polygon(boxes.corners(pose[:2], pose[2], size))
+        for pose, size in zip(poses, sizes, strict=True)
+    )
+    common = first.intersection(second)
+    if common.is_empty:
+        return (poses[0][:2] + poses[1][:2]) / 2
+    return np.array([common.centroid.x, common.centroid.y])

@@ -16,8 +16,15 @@ from numpy.typing import NDArray
 from deepmf_sumo.judge.conflict_types import ACROSS, Side
 from deepmf_sumo.judge.hits import Hit, hit_of
 from deepmf_sumo.judge.metrics import Episode
-from deepmf_sumo.report.drawing import SCORES, Outline, ViewWindow, draw_boxes, draw_road, square
-from deepmf_sumo.report.figures.episode import met_at
+from deepmf_sumo.report.drawing import (
+    SCORES,
+    Outline,
+    ViewWindow,
+    draw_boxes,
+    draw_road,
+    met_at,
+    square,
+)
 from deepmf_sumo.report.map_layers import LAYERS, features
 from deepmf_sumo.report.palette import AV, CANDIDATE, HEAT, OPPONENT, REACTION, STAR, UNSCORED
 from deepmf_sumo.report.table import OUTCOMES, SECTORS

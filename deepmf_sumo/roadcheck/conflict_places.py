@@ -235,11 +235,14 @@ def _place(
 
 
 def _vehicles(seen: Observation, places: Places) -> dict[tuple[Kind, str], set[int]]:
-    """The road users that were at each place."""
+    """The road users that were at each place; at a junction, those on its movements, too."""
     found: dict[tuple[Kind, str], set[int]] = {}
     for lane, users in seen.driven.items():
-        kind, place, _ = places.located(places.spot(lane))
+        spot = places.spot(lane)
+        kind, place, _ = places.located(spot)
         found.setdefault((kind, place), set()).update(users)
+        if spot.junction and kind != "junction":
+            found.setdefault(("junction", spot.junction), set()).update(users)
     return found
 
 

@@ -27,8 +27,8 @@ from matplotlib.patches import Patch, Rectangle
 from PIL import Image
 
 import deepmf_sumo
-from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, square
-from deepmf_sumo.report.figures.episode import met_at, window_of
+from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, met_at, square
+from deepmf_sumo.report.figures.episode import window_of
 from deepmf_sumo.report.palette import (
     AV,
     CANDIDATE,

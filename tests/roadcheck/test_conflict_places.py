@@ -4,6 +4,7 @@ import pytest
 
 from deepmf_sumo.errors import UsageError
 from deepmf_sumo.results.risk import places as places_module
+from deepmf_sumo.roadcheck import conflict_places
 from deepmf_sumo.roadcheck.conflict_places import LISTED, beside, by_place, listed, place_columns
 from deepmf_sumo.roadcheck.conflicts import Observation, Observed, Side
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
@@ -75,6 +76,14 @@ def test_places_count_conflicts_hours_and_each_vehicle_once(places):
     assert (movement.place, movement.types["crossing"]) == (ONCOMING, 1)
     assert movement.per_1000 is None
     assert tuple(edge.columns()) == place_columns(beside=False)
+
+
+def test_a_junction_has_those_on_its_movements(places):
+    """A conflict on a crossing is the junction's: not only who walks there could have it."""
+    driven = {inside(places, ACROSS): {1, 2}, inside(places, ONCOMING): {2, 3}}
+    found = conflict_places._vehicles(observation(driven=driven), places)
+    assert found["junction", "centre"] == {1, 2, 3}
+    assert found["movement", ACROSS] == {1, 2}
 
 
 def test_attacks_stand_beside_the_conflicts(places, tmp_path):

@@ -4,19 +4,17 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, square
+from deepmf_sumo.report.drawing import Outline, ViewWindow, draw_boxes, draw_road, met_at, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.style import PanelGrid
 from deepmf_sumo.report.palette import STAR
 from deepmf_sumo.results.reader import Run
-from deepmf_sumo.scene import AgentId, Contact, Floats, Ints, RoadMap, Rollout, Tracks
-from deepmf_sumo.scene.geometry import boxes
+from deepmf_sumo.scene import AgentId, Floats, Ints, RoadMap, Rollout
 
 MARGIN_M: Final = 8.0
 SMALLEST_M: Final = 36.0
@@ -45,21 +43,6 @@ def draw_episode(
         met = window.place(met_at(rollout.tracks, run.contact))
         axes.plot(*met, marker="x", color="white", ms=6, mew=2.4, zorder=15)
         axes.plot(*met, marker="x", color="black", ms=5, mew=1.2, zorder=16)
-
-
-def met_at(tracks: Tracks, contact: Contact) -> Floats:
-    """(2,) middle of the overlap of the two boxes; between their centres where there is none."""
-    poses = contact.pose_first, contact.pose_second
-    agents = contact.first_id, contact.second_id
-    sizes = [tracks.size_m[tracks.row(agent), :2] for agent in agents]
-    first, second = (
-        shapely.Polygon(boxes.corners(pose[:2], pose[2], size))
-        for pose, size in zip(poses, sizes, strict=True)
-    )
-    common = first.intersection(second)
-    if common.is_empty:
-        return (poses[0][:2] + poses[1][:2]) / 2
-    return np.array([common.centroid.x, common.centroid.y])
 
 
 def driven(rollout: Rollout, agent: AgentId) -> tuple[Floats, Ints]:

@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 
-from deepmf_sumo.report.drawing import ViewWindow, square
+from deepmf_sumo.report.drawing import ViewWindow, met_at, square
 from deepmf_sumo.report.figures import style
 from deepmf_sumo.report.figures.attacks import names, of_deepmf
-from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, met_at, scale_of
+from deepmf_sumo.report.figures.episode import KEY_IN, draw_episode, key, scale_of
 from deepmf_sumo.report.figures.style import PanelGrid, Sheet, Skipped, frame
 from deepmf_sumo.report.table import SECTORS
 from deepmf_sumo.results.reader import Results, Run

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepmf_sumo.judge.metrics import NotMeasurable, conflict
-from deepmf_sumo.report.figures.episode import met_at
+from deepmf_sumo.report.drawing import met_at
 from deepmf_sumo.results import stored
 from deepmf_sumo.scene import (
     Bools,
