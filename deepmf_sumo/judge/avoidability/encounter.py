@@ -27,12 +27,15 @@ from deepmf_sumo.scene import (
     Rollout,
     Tracks,
 )
-from deepmf_sumo.scene.geometry import boxes, frames
+from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.ground import clear, off_level
 
 AFTER_S: Final = 4.0
 """Time after the contact in which no other contact may happen: by then a car has stopped."""
 DEPARTURE_M: Final = 0.5
+_ON_WAY_M: Final = 0.5
+"""A road user that is nearer to the way that it takes without the attack is on it."""
+_MOVED_M: Final = 0.01
 CONFLICT_S: Final = 3.0
 _TESTED_S = np.arange(0.0, CONFLICT_S + 0.05, 0.1)
 
@@ -214,7 +217,8 @@ def third_parties_of(
     Of these ``only`` some; None: all.
 
     They move as simulated until the rollout ends; then as recorded, if the recording drives the
-    traffic and they do not support the attack, else at their last velocity.
+    traffic and they do not support the attack; else at their last speed, on the way that they take
+    without the attack where they still are on it, or straight on.
     """
     tracks = rollout.tracks
     wanted = {*(tracks.ids if only is None else only)} - {rollout.av_id, rollout.opponent_id}
@@ -236,6 +240,10 @@ def third_parties_of(
         astray = rollout.supporters
         ids = [None if (name := tracks.ids[row]) in astray else name for row in rows]
         _as_recorded(found, ids, case.scene.tracks, first, known)
+    elif case.unattacked is not None:
+        gone_m = np.hypot(*velocity.T)[:, None] * after
+        names = [tracks.ids[row] for row in rows]
+        _on_their_way(found, names, case.unattacked, gone_m, known)
     av = tracks.row(rollout.av_id)
     heights = np.repeat(tracks.z_m[rows, first + known - 1, None], steps, axis=1)
     heights[:, :known] = tracks.z_m[rows, shown]
@@ -268,6 +276,24 @@ def _as_recorded(
     found.position_m[mine, here] = recorded.position_m[theirs, there]
     found.heading_rad[mine, here] = recorded.heading_rad[theirs, there]
     found.valid[mine, here] = recorded.valid[theirs, there]
+
+
+def _on_their_way(
+    found: ThirdParties, ids: Sequence[AgentId], alone: Tracks, gone_m: Floats, known: int
+) -> None:
+    """Replace straight motion after ``known`` steps, by (B, K') metres, where the way bends."""
+    for one, name in enumerate(ids):
+        if name not in alone.ids or not found.valid[one, known - 1]:
+            continue
+        there = alone.row(name)
+        way = alone.position_m[there][alone.valid[there]]
+        way = way[np.r_[True, np.hypot(*np.diff(way, axis=0).T) > _MOVED_M]] if len(way) else way
+        if len(way) < 2:
+            continue
+        foot = polylines.project(way, found.position_m[one, known - 1])
+        if float(foot.distance_m) < _ON_WAY_M:
+            place, heading = polylines.points_at(way, float(foot.along_m) + gone_m[one])
+            found.position_m[one, known:], found.heading_rad[one, known:] = place, heading
 
 
 def hit_by(

@@ -13,7 +13,14 @@ from deepmf_sumo.scene import Plan, Scene, readers
 from deepmf_sumo.scene.geometry import polylines
 
 from tests.support.drawn_attacks import NO_ROAD, NOW, attack, cut_in
-from tests.support.rollout_doubles import case_of, contact_of, rollout_of, straight
+from tests.support.rollout_doubles import (
+    case_of,
+    contact_of,
+    in_traffic,
+    rollout_of,
+    straight,
+    tracks_of,
+)
 
 
 class Unaware:
@@ -204,3 +211,23 @@ def test_a_supporter_does_not_jump_back_into_the_recording():
         assert others.position_m.shape == (1, 40, 2)
         assert others.position_m[0, 20, 0] == pytest.approx(26.0)
         assert others.position_m[0, 21, 0] == pytest.approx(goes_on_m)
+
+
+@pytest.mark.parametrize(("aside_m", "follows"), [(0.0, True), (0.3, True), (0.8, False)])
+def test_a_third_road_user_goes_on_around_the_ring(aside_m, follows):
+    """As without the attack, at its last speed; straight on only where it has left its way."""
+    angle = 8.0 * (np.arange(91) - 10) * 0.1 / 20.0
+    ring = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), angle + np.pi / 2])
+    paths = {"av": straight(-60, 0, 5), "b": straight(-30, 0, 5), "ring": ring}
+    case = replace(in_traffic(case_of(paths)), unattacked=tracks_of(paths))
+    driven = {name: path[:41].copy() for name, path in paths.items()}
+    driven["ring"][:, :2] *= (20 + aside_m) / 20
+    others = third_parties_of(rollout_of(driven, [contact_of(step=40)]), case, 10, 60, ["ring"])
+    away = np.hypot(*others.position_m[0].T) - 20
+    assert others.position_m.shape == (1, 60, 2)
+    assert (abs(away[31:]).max() < 0.05) == follows
+    if follows:
+        ahead = np.hypot(*np.diff(others.position_m[0, 31:], axis=0).T)
+        np.testing.assert_allclose(ahead, 0.8, rtol=0.05)
+        turned = np.diff(np.unwrap(others.heading_rad[0, 31:]))
+        assert turned.min() > 0.0
