@@ -15,7 +15,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from deepmf_sumo.judge.accident_types import CUT_IN_S, came_from_beside
-from deepmf_sumo.scene import DT_S, AgentKind, Floats, Ints, Lane, RoadMap, Tracks
+from deepmf_sumo.scene import DT_S, Floats, Ints, Lane, RoadMap, Tracks
 from deepmf_sumo.scene.geometry import boxes, frames, polylines
 from deepmf_sumo.scene.geometry.lane_map import width_m
 from deepmf_sumo.sumo.network.matching import match
@@ -98,8 +98,9 @@ class Course:
 
 
 def conflict_type(
-    av: Course, opponent: Course, road: RoadMap | None, *, from_beside: bool = False
-) -> ConflictType:
+    av: Course, opponent: Course, road: RoadMap | None,
+    *, from_beside: bool = False, on_foot: bool = False,
+) -> ConflictType:  # fmt: skip
     """The kind of a conflict.
 
     Args:
@@ -107,7 +108,15 @@ def conflict_type(
         opponent: the other.
         road: the map that the lanes are of.
         from_beside: whether the one in front came from beside the path of the other just before.
+        on_foot: one of them is a pedestrian, who neither changes lanes nor merges but crosses.
     """
+    found = _of_vehicles(av, opponent, road, from_beside=from_beside)
+    return "crossing" if on_foot and found in {"lane change", "merging"} else found
+
+
+def _of_vehicles(
+    av: Course, opponent: Course, road: RoadMap | None, *, from_beside: bool
+) -> ConflictType:
     came = _angle(av.came_rad, opponent.came_rad)
     if came < _SAME_RAD:
         in_line = not from_beside and boxes.end_to_end(*_box(av), *_box(opponent))
@@ -138,10 +147,16 @@ def _side_by_side(road: RoadMap | None, av: Course, opponent: Course) -> Conflic
     for one, other in ((av, opponent), (opponent, av)):
         turn = _turn_rad(one, road)
         if turn and other.lanes:
-            onward = {*other.lanes, *road.lanes[other.lanes[-1]].next}
-            if any(not onward.isdisjoint(road.lanes[lane].gives_way_to) for lane in one.lanes):
+            onward = (*other.lanes, *road.lanes[other.lanes[-1]].next)
+            if gives_way(road, one.lanes, onward):
                 return _across(turn)
     return "lane change"
+
+
+def gives_way(road: RoadMap, lanes: Iterable[str], others: Iterable[str]) -> bool:
+    """Whether any of some lanes gives way to any of others, by the map."""
+    first = set(others)
+    return any(not first.isdisjoint(road.lanes[lane].gives_way_to) for lane in lanes)
 
 
 def _angle(one_rad: float, other_rad: float) -> float:
@@ -315,9 +330,12 @@ class Meeting:
             road=road,
             lanes=(lanes[0], lanes[1]),
             courses=(av, other),
-            type=_of_kind(
-                tracks.kinds[rows[1]],
-                conflict_type(av, other, road, from_beside=_from_beside(tracks, rows, step)),
+            type=conflict_type(
+                av,
+                other,
+                road,
+                from_beside=_from_beside(tracks, rows, step),
+                on_foot=tracks.kinds[rows[1]] == "pedestrian",
             ),
         )
 
@@ -448,12 +466,6 @@ class Meeting:
         lanes = [lane for lane in dict.fromkeys(self.lanes[which]) if lane is not None]
         onward = self.road.lanes[lanes[-1]].next if lanes and self.road is not None else ()
         return [*lanes, *onward]
-
-
-def _of_kind(kind: AgentKind, found: ConflictType) -> ConflictType:
-    """Pedestrians neither change lanes nor merge: whoever comes from beside crosses."""
-    crosses = kind == "pedestrian" and found in {"lane change", "merging"}
-    return "crossing" if crosses else found
 
 
 def _before_turns(change_rad: Floats) -> int:

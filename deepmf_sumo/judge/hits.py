@@ -14,7 +14,14 @@ from deepmf_sumo.judge import crossings
 from deepmf_sumo.judge.avoidability.counterfactual import Counterfactual, counterfactual
 from deepmf_sumo.judge.avoidability.encounter import onset_of
 from deepmf_sumo.judge.avoidability.intention import emerged_from, is_person
-from deepmf_sumo.judge.conflict_types import ACROSS, ConflictType, Meeting, Side, Who
+from deepmf_sumo.judge.conflict_types import (
+    ACROSS,
+    ConflictType,
+    Meeting,
+    Side,
+    Who,
+    gives_way,
+)
 from deepmf_sumo.judge.metrics import Episode, NotMeasurable, once
 from deepmf_sumo.judge.metrics.driving import lights_passed, red_light
 from deepmf_sumo.scene import Floats, RoadMap, Rollout, Tracks
@@ -257,10 +264,7 @@ def _by_map(meeting: Meeting) -> Who:
     if road is None:
         return ""
     mine, theirs = meeting.driven(0), meeting.driven(1)
-    yields = [
-        any(not set(road.lanes[lane].gives_way_to).isdisjoint(others) for lane in lanes)
-        for lanes, others in ((mine, theirs), (theirs, mine))
-    ]
+    yields = gives_way(road, mine, theirs), gives_way(road, theirs, mine)
     if yields[0] == yields[1]:
         return ""
     return "opponent" if yields[0] else "AV"

@@ -17,7 +17,7 @@ from deepmf_sumo.results.risk import table
 from deepmf_sumo.results.risk.attacks import Network, read
 from deepmf_sumo.results.risk.places import Kind, Places
 from deepmf_sumo.roadcheck.conflicts import Observation, Observed, Side
-from deepmf_sumo.scene import RoadMap
+from deepmf_sumo.scene import RoadMap, agent_ids
 from deepmf_sumo.sumo.network.sumo_net import going_first
 
 BESIDE: Final = (
@@ -63,11 +63,12 @@ def _row(
     spots = places.spot(one.first.lane), places.spot(one.second.lane)
     kind, place, title = places.located(spots[0])
     courses = _course(one.first, road), _course(one.second, road)
+    on_foot = any(agent_ids.person_of(side.id) is not None for side in (one.first, one.second))
     row: dict[str, Any] = {
         "begin_s": one.begin_s,
         "end_s": one.end_s,
         "type": one.type,
-        "kind": conflict_type(*courses, road),
+        "kind": conflict_type(*courses, road, on_foot=on_foot),
         "contact": one.ttc_s == 0.0,
         "ttc_s": one.ttc_s,
         "ttc_at_s": one.ttc_at_s,
@@ -235,7 +236,7 @@ def _place(
 
 
 def _vehicles(seen: Observation, places: Places) -> dict[tuple[Kind, str], set[int]]:
-    """The road users that were at each place; at a junction, those on its movements, too."""
+    """The road users that were at each place; at a junction, also the users of its movements."""
     found: dict[tuple[Kind, str], set[int]] = {}
     for lane, users in seen.driven.items():
         spot = places.spot(lane)

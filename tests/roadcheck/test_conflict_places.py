@@ -7,6 +7,7 @@ from deepmf_sumo.results.risk import places as places_module
 from deepmf_sumo.roadcheck import conflict_places
 from deepmf_sumo.roadcheck.conflict_places import LISTED, beside, by_place, listed, place_columns
 from deepmf_sumo.roadcheck.conflicts import Observation, Observed, Side
+from deepmf_sumo.scene import agent_ids
 from deepmf_sumo.sumo.network.sumo_road import road_of_net
 
 from tests.support.risk_doubles import NET, Attacks, eastward
@@ -60,6 +61,17 @@ def test_a_left_turn_that_has_to_give_way(places):
         assert row["max_delta_v_mps"] == 3.0
         assert not row["contact"]
         assert tuple(row) == LISTED
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("goes", "merging"), (agent_ids.of_person("goes"), "crossing")]
+)
+def test_people_cross_where_vehicles_merge(places, name, kind):
+    turns = side("turns", inside(places, "centre: n_in -> w_out"))
+    goes = side(name, inside(places, ONCOMING))
+    for pair in ((goes, turns), (turns, goes)):
+        [row] = listed(observation(conflict(*pair, kind="crossing")), places, ROAD)
+        assert row["kind"] == kind
 
 
 def test_places_count_conflicts_hours_and_each_vehicle_once(places):
