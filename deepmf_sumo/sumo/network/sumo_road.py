@@ -1,7 +1,7 @@
 """The road map of a SUMO network, as predictors, rules and metrics read it."""
 
 from collections import defaultdict
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, cast
@@ -211,7 +211,8 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
         for lane in edge.lanes
         if (kind := _kind(edge, lane)) and len(lane.shape_m) > 1
     }
-    straight = _straight_lanes(net, lanes)
+    limits_mps = _limits_mps(net, additional)
+    straight = _straight_lanes(net, lanes, limits_mps)
     after: dict[str, list[str]] = defaultdict(list)
     before: dict[str, list[str]] = defaultdict(list)
     for link in net.links:
@@ -224,14 +225,11 @@ def road_of_net(net_file: Path, additional: Sequence[Path] = ()) -> RoadMap:
     lines, edges = borders(net, lanes)
     shapes = [shape for file in additional for shape in _polygons(file)]
     goes_first, known = going_first(net), lanes.keys() | _tracks(net)
-    shown_mps: dict[str, float] = defaultdict(float)
-    for name, limit_mps in (sign for file in additional for sign in _speed_signs(file)):
-        shown_mps[name] = max(shown_mps[name], limit_mps)
     return RoadMap(
         lanes={
             lane.id: replace(
                 _lane(net, edge, lane, lanes, after[lane.id], before[lane.id]),
-                speed_limit_mps=max(lane.speed_mps, shown_mps[lane.id]),
+                speed_limit_mps=limits_mps[lane.id],
                 gives_way_to=tuple(name for name in goes_first.get(lane.id, ()) if name in known),
             )
             for edge in net.edges.values()
@@ -289,7 +287,21 @@ def signal_links(net_file: Path) -> dict[str, tuple[SignalLink, ...]]:
     }
 
 
-def _straight_lanes(net: NetFile, kinds: dict[str, LaneKind]) -> dict[str, Lane]:
+def _limits_mps(net: NetFile, additional: Sequence[Path]) -> dict[str, float]:
+    """By lane: the limit of the network, or the highest of a variable speed sign if that is more.
+
+    SUMO alone knows which limit a sign shows at a time, so no vehicle is judged by a lower one.
+    """
+    found = {lane.id: lane.speed_mps for edge in net.edges.values() for lane in edge.lanes}
+    for name, most in (sign for file in additional for sign in _speed_signs(file)):
+        if name in found:  # SUMO refuses another one
+            found[name] = max(found[name], most)
+    return found
+
+
+def _straight_lanes(
+    net: NetFile, kinds: dict[str, LaneKind], limits_mps: Mapping[str, float]
+) -> dict[str, Lane]:
     """Lanes over junctions that have lights and no lanes inside, by name."""
     of_id = {lane.id: lane for edge in net.edges.values() for lane in edge.lanes}
     found = {}
@@ -309,7 +321,7 @@ def _straight_lanes(net: NetFile, kinds: dict[str, LaneKind]) -> dict[str, Lane]
             z_m=line[:, 2],
             interpolating=True,
             width_m=min(origin.width_m, target.width_m),
-            speed_limit_mps=min(origin.speed_mps, target.speed_mps),
+            speed_limit_mps=min(limits_mps[origin.id], limits_mps[target.id]),
             next=(target.id,),
             previous=(origin.id,),
         )
@@ -407,10 +419,7 @@ def _footways(net: NetFile, known: Container[str]) -> Iterator[Polygon]:
 
 
 def _speed_signs(file: Path) -> Iterator[tuple[str, float]]:
-    """Lanes with a variable speed sign of an additional file, and the highest limit that it shows.
-
-    Which limit holds when is SUMO's: nobody is said to be too fast, or lawful, by a lower one.
-    """
+    """Lanes with a variable speed sign of an additional file, and its highest limit."""
     for element in elements(file, "additional"):
         if element.tag == "variableSpeedSign":
             named = element.get("file")

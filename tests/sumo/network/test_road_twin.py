@@ -73,6 +73,21 @@ def test_without_lanes_inside_each_way_has_its_own_light(tmp_path):
     assert way.next == ("north_0",)
 
 
+def test_a_sign_with_a_higher_limit_holds_up_to_the_next_lane(tmp_path):
+    """Over the junction the lower limit of the two holds, with signs as without."""
+    crossing_network.build(tmp_path, "--no-internal-links", middle="traffic_light")
+    net, signs = tmp_path / "crossing.net.xml", tmp_path / "signs.add.xml"
+    way, plain = ":south_0>north_0", road_of_net(net).lanes
+    for lanes, more_mps in (("south_0", 0.0), ("south_0 north_0", 5.0)):
+        limit = plain["north_0"].speed_limit_mps + 5.0
+        step = f'<step time="0" speed="{limit}"/><step time="9" speed="1"/>'
+        sign = f'<variableSpeedSign id="v" lanes="{lanes}">{step}</variableSpeedSign>'
+        signs.write_text(f"<additional>{sign}</additional>")
+        found = road_of_net(net, [signs]).lanes
+        assert found["south_0"].speed_limit_mps == plain["south_0"].speed_limit_mps + 5.0
+        assert found[way].speed_limit_mps == plain[way].speed_limit_mps + more_mps
+
+
 def test_the_rails_of_a_crossing_show_no_light(tmp_path):
     text = (OURS[1].parent / "four_way.net.xml").read_text()
     light, index = 'tl="', ' linkIndex="'
