@@ -126,25 +126,26 @@ def test_only_plain_cycles_are_changed():
         signals.changed("a", jumps, Change(signal="a", yellow_s=3.0), (), lambda *_: False)
 
 
-def test_an_actuated_light_keeps_its_greens():
-    cycle = program("31:Gr 3:yr 31:rG 3:ry", type="actuated")
+def with_longer_yellow(kind):
+    """Of greens of 31 s that name a least and a greatest time, with 4 s of yellow for 3 s."""
+    cycle = program("31:Gr 3:yr 31:rG 3:ry", type=kind)
     for phase in (cycle[0], cycle[2]):
         phase.set("minDur", "5")
         phase.set("maxDur", "50")
     _, found = signals.changed("a", cycle, Change(signal="a", yellow_s=4.0), (), lambda *_: False)
     signals.write(cycle, found)
+    return cycle
+
+
+def test_an_actuated_light_keeps_its_greens():
+    cycle = with_longer_yellow("actuated")
     assert [one.get("duration") for one in cycle] == ["31", "4", "31", "4"]
     assert (cycle[0].get("minDur"), cycle[0].get("maxDur")) == ("5", "50")
 
 
 def test_a_static_light_ignores_the_least_times_of_its_phases():
     """As SUMO does: the cycle stays as long as it is."""
-    cycle = program("31:Gr 3:yr 31:rG 3:ry")
-    for phase in (cycle[0], cycle[2]):
-        phase.set("minDur", "5")
-        phase.set("maxDur", "50")
-    _, found = signals.changed("a", cycle, Change(signal="a", yellow_s=4.0), (), lambda *_: False)
-    signals.write(cycle, found)
+    cycle = with_longer_yellow("static")
     assert [one.get("duration") for one in cycle] == ["30", "4", "30", "4"]
 
 
