@@ -14,7 +14,7 @@ _HIDDEN: Final = re.compile(
 
 _FORMULA: Final = re.compile("'*[=+@\t\r-]")
 _REVERSE_EDGE: Final = re.compile(r"-\d+(#\d+)?(_\d+)?", re.ASCII)
-"""Edges and lanes of the other direction, as netconvert names those of OpenStreetMap."""
+"""Edges and lanes of the other direction, as netconvert names them in networks of OpenStreetMap."""
 
 
 def is_plain(text: str) -> bool:

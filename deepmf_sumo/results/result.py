@@ -400,7 +400,7 @@ def first_contact(result: Result) -> ContactValues | None:
 
 
 def av_contacts(result: Result) -> list[ContactValues]:
-    """Those of the AV, with whomever, in the order of time."""
+    """Contacts of the AV with any road user, in the order of time."""
     return [one for one in result["contacts"] if one["kind"] in {"av_opponent", "av_other"}]
 
 

@@ -223,8 +223,8 @@ class Turn:
     Attributes:
         first_step: at which the opponent was chosen; the policy drives it from the next step on.
             Those that attack together have the same.
-        last_step: the last of the turn; from the next step on SUMO drives, or, off the lanes,
-            nobody yet.
+        last_step: the last of the turn; from the next step on SUMO drives or, off the lanes, no
+            driver yet.
         ended: ``contact`` with the AV; ``other_hit``: of a vehicle that attacked together with
             it; ``out_of_reach``; ``gone`` (left the simulation);
             ``too_long``; ``plan_ended`` (by a policy that does not replan); ``harmless``;

@@ -461,9 +461,12 @@ class Expect(Strict):
     av_collision: bool | None = Field(default=None, description="the AV touches another vehicle")
     outcome: (
         Literal["av_opponent", "av_other", "opponent_other", "supporter_other", "none"] | None
-    ) = Field(default=None, description="of `runs.csv`: who had the decisive contact, if anybody")
+    ) = Field(
+        default=None,
+        description="as in `runs.csv`: the road users of the decisive contact, or none",
+    )
     max_contact_speed_mps: float | None = Field(
-        default=None, ge=0, description="of every contact of the AV, with whomever"
+        default=None, ge=0, description="of every contact of the AV with any road user"
     )
     metrics: dict[str, Bound] = Field(
         default_factory=dict, description="least and largest value of metrics, by name"

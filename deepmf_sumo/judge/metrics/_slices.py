@@ -50,7 +50,7 @@ def collision(rollout: Rollout) -> Contact:
 
 
 def driven(rollout: Rollout, row: int) -> Bools:
-    """(T) steps after the current one at which the policy drove the agent, or nobody did yet."""
+    """(T) steps after the current one at which the policy drove the agent, or no driver did yet."""
     mask: Bools = (rollout.driver[row] == Driver.POLICY) & rollout.tracks.valid[row]
     return mask & (np.arange(rollout.tracks.steps) > rollout.now)
 

@@ -143,8 +143,8 @@ def av_red_run(episode: Episode) -> float:
 def av_right_of_way_taken(episode: Episode) -> float:
     """Largest braking that the AV, moving on a lane inside a junction, asks of a vehicle, a cyclist
     or a tram that drives on a lane with priority over it, over the simulated steps up to the AV's
-    first contact; at most 10 m/s2. Whoever has a red light has none. Of trams on tracks of their
-    own no light is known: at lights they do not count.
+    first contact; at most 10 m/s2. A road user whose light is red has no priority. Lights of trams
+    on tracks of their own are not known: at lights trams do not count.
     """
     drive, road = DrivenSteps.of(episode), episode.case.road
     if not any(one.gives_way_to for one in road.lanes.values()):
@@ -176,7 +176,7 @@ def _waits_too(road: RoadMap, one: str, other: str) -> bool:
 def _with_priority(
     episode: Episode, drive: DrivenSteps, begin: int, first: set[str], *, rail: bool
 ) -> list[int]:
-    """Rows of those near the AV at step ``begin`` that use one of some lanes from then on.
+    """Rows of road users near the AV at step ``begin`` that use one of some lanes from then on.
 
     ``rail``: trams have priority wherever they are; maps do not have their tracks.
     """

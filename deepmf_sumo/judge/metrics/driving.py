@@ -233,8 +233,8 @@ def may_turn_on_red(case: Case, turn_rad: float) -> bool:
 def passed_green(rollout: Rollout, road: RoadMap, row: int, place_m: Floats, crossing: str) -> bool:
     """Whether the lights that an agent passed last before a place (2), if any, let it go.
 
-    ``crossing``: id of the crossing there. In a network a light stops who uses crossings of its own
-    junction alone: a zebra behind it is another one's.
+    ``crossing``: id of the crossing there. In a network a light stops people at the crossings of
+    its own junction alone: a zebra behind it belongs to another junction.
     """
     passed = lights_passed(rollout, road, row, place_m, junction_of(crossing))
     return bool(passed & GOES) and not passed & FORBIDS

@@ -104,7 +104,7 @@ class _Light:
         return "".join(one.state[way.link.index] for one in self.program.phases)
 
     def _turn(self, way: Way) -> str:
-        """As guidelines for traffic that keeps right call it: left turns are those across it."""
+        """As guidelines for traffic that keeps right call it: across oncoming traffic is left."""
         return _MIRRORED.get(way.turn, way.turn) if self.roads.net.left_hand else way.turn
 
     def _ends(self, way: Way) -> Iterator[int]:

@@ -315,7 +315,7 @@ def opened(
 class LogWorld:
     """The planner drives the AV, the policy the opponent while it has a plan, the log the rest.
 
-    Between plan and log an opponent may belong to nobody: see `ownership`.
+    Between plan and log an opponent may have no driver: see `ownership`.
     With ``traffic: sumo`` SUMO drives the rest. Pedestrians, cyclists, and vehicles that stand
     beside the lanes are boxes outside SUMO: SUMO's own perception does not see them, views do. Who
     is driven by the policy is in SUMO as long as that lasts, and SUMO's vehicles brake for it.

@@ -65,7 +65,7 @@ class OwnWay:
         self._lanes: dict[tuple[str, str], list[tuple[Floats, float]]] = {}
 
     def has(self, vehicle_id: AgentId, front_m: Floats, heading_rad: float) -> bool:
-        """Whether a front (2) with a heading is on a lane here or next on the route, along it."""
+        """Whether a front (2) with a heading is on a lane here or next on its route, along it."""
         at = int(self._api.vehicle.getRouteIndex(vehicle_id))
         if at < 0:
             return False
@@ -89,7 +89,7 @@ class OwnWay:
         return abs(float(frames.difference(foot.heading_rad, heading_rad))) < _ALONG_RAD
 
     def _of(self, edge: str, following: str) -> list[tuple[Floats, float]]:
-        """Lines of an edge's lanes, and of those over the junction to the next, and their reach."""
+        """Lines and reach of an edge's lanes and of the lanes over the junction behind it."""
         if (edge, following) not in self._lanes:
             lane, count = self._api.lane, int(self._api.edge.getLaneNumber(edge))
             starts = [f"{edge}_{number}" for number in range(count)]

@@ -73,7 +73,7 @@ def opened_plain(case: TrafficCase) -> Iterator[World]:
 class TrafficWorld:
     """The planner drives the AV, the policy the opponent while it has a plan, SUMO the rest.
 
-    Between plan and SUMO an opponent may belong to nobody: see `ownership`.
+    Between plan and SUMO an opponent may have no driver: see `ownership`.
     """
 
     def __init__(
