@@ -53,7 +53,7 @@ from deepmf_sumo.judge.metrics.driving import (
 )
 from deepmf_sumo.scene import Bools, Floats, Ints, RoadMap, Rollout
 from deepmf_sumo.scene.geometry import road
-from deepmf_sumo.scene.geometry.slow import WALKING_MPS
+from deepmf_sumo.scene.geometry.slow import STOOD_MPS, WALKING_MPS
 from deepmf_sumo.scene.signals import FORBIDS
 
 Rung = Literal["A", "B", "C", "D"]
@@ -70,8 +70,9 @@ LEAST_DELTA_V_MPS: Final = 5.0 / 3.6
 MOMENT_S: Final = 1.0
 """Drivers that cut a corner or drift over the middle are back by then, or have met somebody."""
 LAST_S: Final = 1.0
-STOOD_S, STOOD_MPS = 2.5, 1.0
-"""What was slower for this time stood there to be seen: a driver reacts and stops from 50 km/h."""
+STOOD_S: Final = 2.5
+"""Who was slower than `STOOD_MPS` for this time stood there to be seen: a driver reacts, and stops
+from 50 km/h."""
 HARDEST_MPS2: Final = 6.0
 """Drivers hardly ever brake harder; a careful one is prepared for it (UN R157)."""
 LIMIT: Final = 1.3

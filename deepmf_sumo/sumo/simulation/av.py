@@ -1,6 +1,6 @@
 """The AV in SUMO: its way ahead, how its speed and lane are commanded, and where it is shown."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ _OWN_DECISION = 31
 # With bit 1 a commanded speed is cut without any limit to braking, with bit 4 SUMO's emergency
 # braking is weakened to comfortable braking. So both are off, and the limits are kept here.
 _COMMANDED = 24
+_BRAKES_HARD = 26
 _NO_CHECKS = 0
 _NO_CHANGES = 0
 """A laneChangeMode."""
@@ -139,8 +140,11 @@ class SumoAv:
             self._path, self._path_known = self.ahead.centre_line(), True
         return self._path
 
-    def drive(self, command: Command) -> None:
-        """Ask for the command in the coming step."""
+    def drive(self, command: Command, standing: Mapping[AgentId, float] | None = None) -> None:
+        """Ask for the command in the coming step.
+
+        ``standing``: gaps, in metres, to those who stand in its way, whether SUMO sees them or not.
+        """
         if command.kind == "pose":
             pose = Pose(
                 x_m=command.x_m,
@@ -163,17 +167,19 @@ class SumoAv:
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         self._keep_lane(standing=speed <= STANDING_MPS)
-        behind_left = self._behind_left_lane(speed) if command.kind != "speed" else None
+        most = self._most(speed, standing or {}) if command.kind != "speed" else None
         if command.kind == "sumo":
-            vehicle.setSpeedMode(self.id, _OWN_DECISION)
-            if behind_left is not None and behind_left < speed:
-                commanded = behind_left
+            if most is not None and (most < speed or speed <= STANDING_MPS):
+                commanded = most
+            eased = speed - float(vehicle.getDecel(self.id)) * DT_S
+            hard = commanded is not None and commanded < eased
+            vehicle.setSpeedMode(self.id, _BRAKES_HARD if hard else _OWN_DECISION)
             vehicle.setSpeed(self.id, -1.0 if commanded is None else commanded)
         elif command.kind == "leader":
             vehicle.setSpeedMode(self.id, _COMMANDED)
             commanded = self._behind_leader(command, speed)
-            if behind_left is not None:
-                commanded = min(commanded, behind_left)
+            if most is not None:
+                commanded = min(commanded, most)
             vehicle.setSpeed(self.id, commanded)
         else:  # speed
             vehicle.setSpeedMode(self.id, _NO_CHECKS)
@@ -249,8 +255,31 @@ class SumoAv:
         found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
         return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
 
-    def _behind_left_lane(self, speed: float) -> float | None:
-        """SUMO's speed behind the next vehicle on the lane that the AV is shown leaving, or None.
+    def _most(self, speed: float, standing: Mapping[AgentId, float]) -> float | None:
+        """SUMO's speed if somebody is in the AV's way where SUMO's driver does not look, or None.
+
+        SUMO's own leader counts then, too: where the AV brakes hard, SUMO does not check it.
+        """
+        ahead = [*self._on_left_lanes(), *standing.items()]
+        if not ahead:
+            return None
+        self.leaders = tuple(dict.fromkeys([*(self.leaders or ()), *(one for one, _ in ahead)]))
+        vehicle = self._api.vehicle
+        least_m, decel = float(vehicle.getMinGap(self.id)), float(vehicle.getDecel(self.id))
+        if own := vehicle.getLeader(self.id, _LOOK_M):
+            ahead += [(str(own[0]), float(own[1]) + least_m)] if own[0] else []
+        there, speeds = vehicle.getIDList(), []
+        for one, gap_m in ahead:
+            known, its_mps = (one, vehicle.getSpeed(one)) if one in there else ("", 0.0)  # a person
+            found = vehicle.getFollowSpeed(
+                self.id, speed, gap_m - least_m, float(its_mps), decel, known
+            )
+            speeds.append(float(found))
+        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
+        return max(0.0, hardest, min(speeds))
+
+    def _on_left_lanes(self) -> Iterator[tuple[AgentId, float]]:
+        """The next vehicle on the lane that the AV is shown leaving, and the gap to it.
 
         For SUMO the AV is on its new lane immediately, and follows only what is there. As long as
         its box is in the way of a vehicle ahead on the old lane, it keeps its distance to that,
@@ -258,10 +287,9 @@ class SumoAv:
         """
         leaving = self._motion.leaving()
         if not leaving:
-            return None
+            return
         vehicle = self._api.vehicle
         own_width_m = float(vehicle.getWidth(self.id))
-        speeds = []
         for lane, aside_m in leaving.items():
             own_m = self._motion.along(lane)
             if own_m is None:
@@ -274,14 +302,7 @@ class SumoAv:
                     gaps.append((ahead_m - own_m, str(other)))
             if gaps:
                 gap_m, leader = min(gaps)
-                gap_m -= float(vehicle.getMinGap(self.id))
-                leader_mps = float(vehicle.getSpeed(leader))
-                decel = float(vehicle.getDecel(self.id))
-                found = vehicle.getFollowSpeed(self.id, speed, gap_m, leader_mps, decel, leader)
-                speeds.append(float(found))
-                self.leaders = tuple(dict.fromkeys([*(self.leaders or ()), leader]))
-        hardest = speed - float(vehicle.getEmergencyDecel(self.id)) * DT_S
-        return max(0.0, hardest, min(speeds)) if speeds else None
+                yield leader, gap_m
 
     def _behind_leader(self, command: Command, speed: float) -> float:
         """SUMO's speed behind the leader, but at most what SUMO's own decision allows.

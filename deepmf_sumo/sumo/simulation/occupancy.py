@@ -1,11 +1,12 @@
 """Which agents are around a vehicle, touch it, or are in its way."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from deepmf_sumo.planners.perception import entries
 from deepmf_sumo.scene import DT_S, AgentId, Floats, agent_ids
 from deepmf_sumo.scene.agent_ids import whole_of
 from deepmf_sumo.scene.geometry import boxes
@@ -54,6 +55,29 @@ class Occupancy:
             self.size_m[others],
         )
         return not bool(np.any(hit))
+
+    def in_its_way(
+        self, agent: AgentId, path_m: Floats, among: Collection[AgentId]
+    ) -> dict[AgentId, float]:
+        """Gaps, in metres, to those of ``among`` that reach into the way of an agent.
+
+        ``path_m``: (P, 2) middle of its way, from its front on.
+        """
+        frame = self.frame
+        if agent not in frame.ids:
+            return {}
+        me = frame.ids.index(agent)
+        others = [row for row, one in enumerate(frame.ids) if one in among]
+        gap, _ = entries(
+            path_m,
+            self.size_m[me, 1] / 2,
+            frame.position_m[others],
+            frame.heading_rad[others],
+            self.size_m[others],
+        )
+        gap[clear(frame.z_m[me], frame.z_m[others])] = np.inf
+        near = np.flatnonzero(gap < np.inf)
+        return {frame.ids[others[row]]: float(gap[row]) for row in near}
 
     def without_persons(self, agent: AgentId) -> "Occupancy":
         """The same without all persons of SUMO but ``agent``."""

@@ -153,7 +153,7 @@ class TrafficWorld:
     def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
         """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
-        self.av.drive(command)
+        self.av.drive(command, self._standing())
         self._driven = {agent for agent, pose in poses.items() if pose is not None}
         made = self._made.poses(self._since_start_s(), poses, self.next_owner.clear)
         for agent, pose in {**poses, **made}.items():
@@ -202,6 +202,12 @@ class TrafficWorld:
         if not put:
             return replace(pose, z_m=z_m)
         return raised(agent, pose, z_m, self._frame, self._ground)
+
+    def _standing(self) -> dict[AgentId, float]:
+        """Gaps to who stands in the AV's way, of those that SUMO does not drive."""
+        standing, me = self._takeover.standing(), self.av.id
+        path = self.av.path() if standing else None
+        return {} if path is None else self._occupancy(me).in_its_way(me, path, standing)
 
     def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
         """All agents at the end of the last step."""

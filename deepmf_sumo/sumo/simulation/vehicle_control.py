@@ -12,6 +12,7 @@ import numpy as np
 
 from deepmf_sumo.scene import AgentId, Event, Floats, agent_ids
 from deepmf_sumo.scene.geometry import frames, polylines
+from deepmf_sumo.scene.geometry.slow import STOOD_MPS
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.network.sumo_net import TURNS
 from deepmf_sumo.sumo.simulation.frame import Pose
@@ -320,6 +321,14 @@ class Takeover:
         """Those that SUMO does not drive, and where they were put in the last step."""
         vehicles = {agent: taken.pose for agent, taken in self._taken.items()}
         return vehicles | self.persons.placed()
+
+    def standing(self) -> set[AgentId]:
+        """Those that stand, or almost, where they were put in the last step.
+
+        SUMO's driver of the AV looks at the lanes of its way and at streams that cross them. It
+        does not see who stands across its way and counts for SUMO as on another lane, or on none.
+        """
+        return {agent for agent, pose in self.placed().items() if pose.speed_mps < STOOD_MPS}
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
         """Put a road user at the pose at the end of the coming step, or take it off the road."""
