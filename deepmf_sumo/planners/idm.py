@@ -3,7 +3,8 @@
 ``lane``: the AV sees what SUMO's model sees: vehicles matched to its lane, lights, right of way. It
 sees a car that cuts in as soon as the car's front crosses the lane's border. Where the recording
 leaves the lanes, the AV drives on a separate lane from which SUMO's model sees no other vehicle:
-there ``lane`` means ``corridor``.
+there ``lane`` means ``corridor``. It stops for an opponent that stands in its way, too, whatever
+lane SUMO counts that on.
 ``corridor``: in addition, the AV follows the nearest box (vehicle, pedestrian or cyclist, on a lane
 or off the lanes) that reaches into the corridor that it is going to sweep.
 """

@@ -171,8 +171,7 @@ class SumoAv:
         if command.kind == "sumo":
             if most is not None and (most < speed or speed <= STANDING_MPS):
                 commanded = most
-            eased = speed - float(vehicle.getDecel(self.id)) * DT_S
-            hard = commanded is not None and commanded < eased
+            hard = commanded is not None and self._brakes_hard(speed, commanded)
             vehicle.setSpeedMode(self.id, _BRAKES_HARD if hard else _OWN_DECISION)
             vehicle.setSpeed(self.id, -1.0 if commanded is None else commanded)
         elif command.kind == "leader":
@@ -254,6 +253,9 @@ class SumoAv:
             return named or None
         found = self._api.vehicle.getLeader(self.id, _LOOK_M) if self.on_lane else None
         return named if not found or not found[0] else tuple(dict.fromkeys([*named, str(found[0])]))
+
+    def _brakes_hard(self, speed: float, commanded: float) -> bool:
+        return commanded < speed - float(self._api.vehicle.getDecel(self.id)) * DT_S
 
     def _most(self, speed: float, standing: Mapping[AgentId, float]) -> float | None:
         """SUMO's speed if somebody is in the AV's way where SUMO's driver does not look, or None.

@@ -49,3 +49,23 @@ def test_a_vehicle_of_several_boxes_is_not_in_its_own_way():
 
 def test_nothing_is_in_the_way_of_an_absent_one():
     assert around({"other": (3.0, 0.0, 0.0, 0.0)}).clear("ov", AHEAD)
+
+
+WAY_M = np.array([[0.0, 0.0], [60.0, 0.0]])
+
+
+def test_who_reaches_into_its_way():
+    agents = {
+        "av": (-2.4, 0.0, 5.0, 0.0),
+        "ahead": (20.0, 1.8, 0.0, 0.0),  # 2 m wide: from 0.8 m on
+        "beside": (10.0, 2.2, 0.0, 0.0),
+        "behind": (-12.0, 0.0, 0.0, 0.0),
+        "above": (15.0, 0.0, 0.0, 6.0),
+        "not asked for": (5.0, 0.0, 0.0, 0.0),
+    }
+    found = around(agents).in_its_way("av", WAY_M, set(agents) - {"av", "not asked for"})
+    assert found == {"ahead": pytest.approx(17.6)}
+
+
+def test_nobody_is_in_the_way_of_an_absent_one():
+    assert around({"a": (5.0, 0.0, 0.0, 0.0)}).in_its_way("av", WAY_M, {"a"}) == {}
