@@ -97,10 +97,10 @@ def command(
         _, rest = sweep_keys(sets, "figures")
         _save(file, _documents(ctx.meta[AFTER], configs, rest, wanted))
         return
-    ctx.exit(attacked(ctx.meta[AFTER], configs, sets, **wanted))
+    ctx.exit(attack_configs(ctx.meta[AFTER], configs, sets, **wanted))
 
 
-def attacked(
+def attack_configs(
     sumo_options: tuple[str, ...], configs: tuple[Path, ...], sets: Sequence[str], **wanted: Any
 ) -> int:
     """Attack as the command does with these values of its options; returns the exit code."""

@@ -133,7 +133,7 @@ class _Asked:
             sets = [one for one in sets if not one.startswith(_MOMENTS)]
         config = self.built.before if side == "before" else self.built.after
         click.echo(f"{side} the changes, at moments chosen {of} them")
-        return attack.attacked(self.sumo_options, (config,), sets, **given)
+        return attack.attack_configs(self.sumo_options, (config,), sets, **given)
 
 
 def _compare(out: Path) -> None:

@@ -276,7 +276,7 @@ def _key(groups: Sequence[RunGroup]) -> tuple[ShownLine, ...]:
         ("  rate (95 % interval)", "hit rate (95 %)", _rate),
         ("  of these findings", "findings", _findings),
         ("  contrived or unavoidable, no findings", "", _apart),
-        ("  of these drivable and on the road", "", _fair),
+        ("  of these drivable and on the road", "", _on_road),
         ("AV hit another vehicle, runs", "", lambda one: str(one.touched("av_other"))),
         ("opponent hit another vehicle, runs", "", lambda one: str(one.touched("opponent_other"))),
         _mean_of("collision_time_s", lambda one: one.hits, "contact_time_s"),
@@ -356,7 +356,7 @@ def _apart(group: RunGroup) -> str:
     return ", ".join(f"{found.rungs[rung]} {NAMES[rung]}" for rung in APART)
 
 
-def _fair(group: RunGroup) -> str:
+def _on_road(group: RunGroup) -> str:
     return f"{group.on_road_hits} of {len(group.hits)}" if len(group.hits) else NONE
 
 

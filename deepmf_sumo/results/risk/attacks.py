@@ -134,12 +134,12 @@ def of_run(
     there = [row["opponent"] for row in rows if row["opponent"] in found.tracks.ids]
     opponents = {one: Spots(found, road, every, one, {}) for one in there}
     attacks = (
-        _attacked(run.result, row, found, av, opponents.get(row["opponent"])) for row in rows
+        _attack_of(run.result, row, found, av, opponents.get(row["opponent"])) for row in rows
     )
     return [replace(one, weight=weight) for one in attacks]
 
 
-def _attacked(
+def _attack_of(
     result: Result, row: Mapping[str, Any], found: RecordedTracks, spots: Spots,
     opponent: Spots | None,
 ) -> Attacked:  # fmt: skip
