@@ -71,8 +71,8 @@ MOMENT_S: Final = 1.0
 """Drivers that cut a corner or drift over the middle are back by then, or have met somebody."""
 LAST_S: Final = 1.0
 STOOD_S: Final = 2.5
-"""Who was slower than `STOOD_MPS` for this time stood there to be seen: a driver reacts, and stops
-from 50 km/h."""
+"""A road user that was slower than `STOOD_MPS` for this time could be seen standing: long enough to
+react and to stop from 50 km/h."""
 HARDEST_MPS2: Final = 6.0
 """Drivers hardly ever brake harder; a careful one is prepared for it (UN R157)."""
 LIMIT: Final = 1.3

@@ -13,7 +13,7 @@ STANDING_MPS: Final = 0.1
 WAITING_MPS: Final = 0.5
 """Slower waits, where traffic goes around it or on without it: vehicles that wait creep."""
 STOOD_MPS: Final = 1.0
-"""Slower stands for those who see it and have to stop for it."""
+"""Slower stands for others, which have to stop for it."""
 WALKING_MPS: Final = 1.4
 """Slower creeps: an AV can be walked past."""
 DIRECTION_MPS: Final = 0.5

@@ -22,6 +22,7 @@ _OWN_DECISION = 31
 # With bit 1 a commanded speed is cut without any limit to braking, with bit 4 SUMO's emergency
 # braking is weakened to comfortable braking. So both are off, and the limits are kept here.
 _COMMANDED = 24
+# Harder than comfortably, because bit 4 would forbid that.
 _BRAKES_HARD = 26
 _NO_CHECKS = 0
 _NO_CHANGES = 0
@@ -140,10 +141,10 @@ class SumoAv:
             self._path, self._path_known = self.ahead.centre_line(), True
         return self._path
 
-    def drive(self, command: Command, standing: Mapping[AgentId, float] | None = None) -> None:
+    def drive(self, command: Command, blocking: Mapping[AgentId, float] | None = None) -> None:
         """Ask for the command in the coming step.
 
-        ``standing``: gaps, in metres, to those who stand in its way, whether SUMO sees them or not.
+        ``blocking``: gaps, in metres, to road users that stand in its way, seen by SUMO or not.
         """
         if command.kind == "pose":
             pose = Pose(
@@ -167,7 +168,7 @@ class SumoAv:
         vehicle = self._api.vehicle
         speed = float(vehicle.getSpeed(self.id))
         self._keep_lane(standing=speed <= STANDING_MPS)
-        most = self._most(speed, standing or {}) if command.kind != "speed" else None
+        most = self._behind_unseen(speed, blocking or {}) if command.kind != "speed" else None
         if command.kind == "sumo":
             if most is not None and (most < speed or speed <= STANDING_MPS):
                 commanded = most
@@ -257,12 +258,12 @@ class SumoAv:
     def _brakes_hard(self, speed: float, commanded: float) -> bool:
         return commanded < speed - float(self._api.vehicle.getDecel(self.id)) * DT_S
 
-    def _most(self, speed: float, standing: Mapping[AgentId, float]) -> float | None:
-        """SUMO's speed if somebody is in the AV's way where SUMO's driver does not look, or None.
+    def _behind_unseen(self, speed: float, blocking: Mapping[AgentId, float]) -> float | None:
+        """SUMO's speed behind what is in the AV's way where SUMO's driver does not look, or None.
 
-        SUMO's own leader counts then, too: where the AV brakes hard, SUMO does not check it.
+        Also behind SUMO's own leader then: where the AV brakes hard, SUMO does not check the speed.
         """
-        ahead = [*self._on_left_lanes(), *standing.items()]
+        ahead = [*self._on_left_lanes(), *blocking.items()]
         if not ahead:
             return None
         self.leaders = tuple(dict.fromkeys([*(self.leaders or ()), *(one for one, _ in ahead)]))

@@ -407,12 +407,6 @@ class LogWorld:
     def _sumo_drives(self, agent: AgentId) -> bool:
         return self._free.drives(self._row[agent])
 
-    def _standing(self) -> dict[AgentId, float]:
-        """Gaps to who stands in the AV's way, of those that SUMO does not drive."""
-        standing, me = self._takeover.standing(), self.av.id
-        path = self.av.path() if standing else None
-        return {} if path is None else self._occupancy(me).in_its_way(me, path, standing)
-
     def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
         """All agents at the end of the last step."""
         rows = [self._row[one] for one in self._frame.ids]
@@ -506,7 +500,9 @@ class LogWorld:
         if self._log_drives:
             self.av.place(logged(tracks, row, step))
             return Driver.LOG
-        self.av.drive(command, self._standing())
+        av = self.av
+        blocking = self._takeover.blocking(av.id, av.path, self._occupancy, self._case.road)
+        av.drive(command, blocking)
         return Driver.PLANNER
 
     def _drive_opponents(self, poses: Mapping[AgentId, Pose | None]) -> dict[AgentId, Pose]:

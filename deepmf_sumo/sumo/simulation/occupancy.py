@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from deepmf_sumo.planners.perception import entries
-from deepmf_sumo.scene import DT_S, AgentId, Floats, agent_ids
+from deepmf_sumo.scene import DT_S, AgentId, Floats, RoadMap, agent_ids
 from deepmf_sumo.scene.agent_ids import whole_of
 from deepmf_sumo.scene.geometry import boxes
-from deepmf_sumo.scene.geometry.ground import clear
+from deepmf_sumo.scene.geometry.ground import clear, off_level
 from deepmf_sumo.sumo.simulation.contacts import overlapping
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 
@@ -57,9 +57,9 @@ class Occupancy:
         return not bool(np.any(hit))
 
     def in_its_way(
-        self, agent: AgentId, path_m: Floats, among: Collection[AgentId]
+        self, agent: AgentId, path_m: Floats, among: Collection[AgentId], road: RoadMap
     ) -> dict[AgentId, float]:
-        """Gaps, in metres, to those of ``among`` that reach into the way of an agent.
+        """Gaps, in metres, to those of ``among`` that reach into the way of an agent on its level.
 
         ``path_m``: (P, 2) middle of its way, from its front on.
         """
@@ -75,7 +75,8 @@ class Occupancy:
             frame.heading_rad[others],
             self.size_m[others],
         )
-        gap[clear(frame.z_m[me], frame.z_m[others])] = np.inf
+        here, z_m = frame.position_m[me], float(frame.z_m[me])
+        gap[off_level(road, here, z_m, frame.position_m[others], frame.z_m[others])] = np.inf
         near = np.flatnonzero(gap < np.inf)
         return {frame.ids[others[row]]: float(gap[row]) for row in near}
 

@@ -89,7 +89,7 @@ class TrafficWorld:
         self._reader = TrafficReader(api, case.av_id)
         self._step = HISTORY_STEPS - 1
         self._driven: set[AgentId] = set()
-        self._ground = ground_of(case.road)
+        self._road, self._ground = case.road, ground_of(case.road)
         self._note_step_length(configuration)
         _check_start(case, configuration)
         footways = partial(footways_of, configuration.net)
@@ -153,7 +153,9 @@ class TrafficWorld:
     def step(self, command: Command, poses: Mapping[AgentId, Pose | None]) -> Frame:
         """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
-        self.av.drive(command, self._standing())
+        av = self.av
+        blocking = self._takeover.blocking(av.id, av.path, self._occupancy, self._road)
+        av.drive(command, blocking)
         self._driven = {agent for agent, pose in poses.items() if pose is not None}
         made = self._made.poses(self._since_start_s(), poses, self.next_owner.clear)
         for agent, pose in {**poses, **made}.items():
@@ -202,12 +204,6 @@ class TrafficWorld:
         if not put:
             return replace(pose, z_m=z_m)
         return raised(agent, pose, z_m, self._frame, self._ground)
-
-    def _standing(self) -> dict[AgentId, float]:
-        """Gaps to who stands in the AV's way, of those that SUMO does not drive."""
-        standing, me = self._takeover.standing(), self.av.id
-        path = self.av.path() if standing else None
-        return {} if path is None else self._occupancy(me).in_its_way(me, path, standing)
 
     def _occupancy(self, agent: AgentId) -> Occupancy:  # noqa: ARG002
         """All agents at the end of the last step."""

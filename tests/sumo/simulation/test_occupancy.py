@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepmf_sumo.scene import Driver
+from deepmf_sumo.scene import Driver, Lane, RoadMap
 from deepmf_sumo.sumo.simulation.frame import Frame, Pose
 from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 
@@ -54,6 +54,21 @@ def test_nothing_is_in_the_way_of_an_absent_one():
 WAY_M = np.array([[0.0, 0.0], [60.0, 0.0]])
 
 
+def road(*lanes):
+    """Of lanes through points with heights."""
+    return RoadMap(
+        lanes={
+            str(row): Lane(
+                id=str(row), kind="street", centre_m=xyz[:, :2], z_m=xyz[:, 2], width_m=3.2
+            )
+            for row, xyz in enumerate(np.array(one, float) for one in lanes)
+        }
+    )
+
+
+CROSSING = road([(-100, 0, 0), (100, 0, 0)], [(15, -110, 0), (15, -30, 6), (15, 30, 6)])
+
+
 def test_who_reaches_into_its_way():
     agents = {
         "av": (-2.4, 0.0, 5.0, 0.0),
@@ -63,9 +78,17 @@ def test_who_reaches_into_its_way():
         "above": (15.0, 0.0, 0.0, 6.0),
         "not asked for": (5.0, 0.0, 0.0, 0.0),
     }
-    found = around(agents).in_its_way("av", WAY_M, set(agents) - {"av", "not asked for"})
+    asked = set(agents) - {"av", "not asked for"}
+    found = around(agents).in_its_way("av", WAY_M, asked, CROSSING)
     assert found == {"ahead": pytest.approx(17.6)}
 
 
+def test_what_is_farther_up_the_slope_is_in_its_way():
+    hill = road([(-100, 0, -10), (100, 0, 10)])
+    agents = {"av": (-2.4, 0.0, 5.0, -0.24), "ahead": (50.0, 0.0, 0.0, 5.0)}
+    assert set(around(agents).in_its_way("av", WAY_M, {"ahead"}, hill)) == {"ahead"}
+
+
 def test_nobody_is_in_the_way_of_an_absent_one():
-    assert around({"a": (5.0, 0.0, 0.0, 0.0)}).in_its_way("av", WAY_M, {"a"}) == {}
+    agents = around({"a": (5.0, 0.0, 0.0, 0.0)})
+    assert agents.in_its_way("av", WAY_M, {"a"}, CROSSING) == {}

@@ -1,4 +1,6 @@
-"""The AV stops for an opponent that stands across its way, wherever SUMO counts it as."""
+"""The AV stops for an opponent that stands across its way, whatever lane SUMO counts it on."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -6,9 +8,11 @@ import shapely
 from shapely import affinity
 
 from deepmf_sumo.planners import idm, sumo
-from deepmf_sumo.scene import Plan
+from deepmf_sumo.scene import Command, Plan
 from deepmf_sumo.scene.geometry import polylines
 from deepmf_sumo.sumo.simulation import network_case, simulate
+from deepmf_sumo.sumo.simulation.av import SumoAv
+from deepmf_sumo.sumo.simulation.frame import Pose
 
 from tests.sumo.simulation.test_seen_on_its_way import built, vehicle
 
@@ -72,7 +76,7 @@ DRIVERS = {"idm lane": idm.build(idm.Settings()), "sumo": sumo.build(sumo.Settin
 
 
 def driven(folder, driver, place, heading_deg):
-    """The AV comes from the west at 12 m/s, 60 m before the junction."""
+    """The AV comes from the west and has priority."""
     demand = vehicle("other", "nm ms", 128) + vehicle("av", "wm me", 60)
     config = built(folder, NODES, EDGES, demand)
     case = network_case(config, 2.0, "av", 80)
@@ -109,3 +113,44 @@ def test_it_passes_who_stands_beside_its_way(tmp_path):
     tracks = rollout.tracks
     assert not rollout.contacts
     assert tracks.position_m[tracks.row("av"), -1, 0] > MIDDLE_M[0] + 20.0
+
+
+class Vehicle:
+    """SUMO's vehicles, as far as an AV on a lane asks for them; behind each the AV drives at
+    ``speeds``."""
+
+    def __init__(self, speed_mps, speeds):
+        self.speed_mps, self.speeds, self.asked = speed_mps, speeds, {}
+
+    def __getattr__(self, name):
+        answers = {
+            "getSpeed": self.speed_mps, "getDecel": 2.0, "getEmergencyDecel": 9.0, "getMinGap": 2.0,
+            "getIDList": ("av", *self.speeds), "getLeader": ("ahead", 20.0), "getLaneID": "ab_0",
+            "getBestLanes": (), "getLaneChangeMode": 0,
+        }  # fmt: skip
+        if name == "getFollowSpeed":
+            return lambda *given: self.speeds[given[-1]]
+        if name.startswith("set"):
+            return lambda _, value: self.asked.update({name: value})
+        return lambda *_: answers[name]
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "across_mps", "ahead_mps", "asked_mps", "mode"),
+    [
+        (10.0, 9.95, 14.0, 9.95, 31),  # gently: SUMO checks the rest
+        (10.0, 9.5, 14.0, 9.5, 26),
+        (10.0, 9.5, 9.3, 9.3, 26),  # SUMO's own leader is nearer
+        (10.0, 2.0, 14.0, 9.1, 26),  # as hard as it can
+        (10.0, 12.0, 14.0, -1.0, 31),
+        (0.0, 0.0, 3.0, 0.0, 31),  # it stays
+    ],
+)
+def test_how_hard_it_brakes(speed_mps, across_mps, ahead_mps, asked_mps, mode):
+    vehicle = Vehicle(speed_mps, {"across": across_mps, "ahead": ahead_mps})
+    pose = Pose(x_m=0.0, y_m=0.0, heading_rad=0.0, speed_mps=speed_mps)
+    av = SumoAv(SimpleNamespace(vehicle=vehicle), "av", 5.0, pose)
+    av.drive(Command(kind="sumo"), {"across": 12.0})
+    assert vehicle.asked["setSpeed"] == pytest.approx(asked_mps)
+    assert vehicle.asked["setSpeedMode"] == mode
+    assert av.leaders == ("ahead", "across")
