@@ -15,6 +15,7 @@ from deepmf_sumo.sumo.simulation.av import SumoAv
 from deepmf_sumo.sumo.simulation.frame import Pose
 
 from tests.sumo.simulation.test_seen_on_its_way import built, vehicle
+from tests.support.simulated_worlds import case_of, crossing_road, scene_of, straight_motion
 
 pytestmark = pytest.mark.sumo
 
@@ -35,8 +36,8 @@ class Stands:
 
     period_steps = None
 
-    def __init__(self, place, heading_deg):
-        self.place, self.heading_rad = MIDDLE_M + place, np.radians(heading_deg)
+    def __init__(self, place, heading_deg, middle_m=MIDDLE_M):
+        self.place, self.heading_rad = middle_m + place, np.radians(heading_deg)
 
     def reset(self, view, rng):
         return ("other",)
@@ -154,3 +155,17 @@ def test_how_hard_it_brakes(speed_mps, across_mps, ahead_mps, asked_mps, mode):
     assert vehicle.asked["setSpeed"] == pytest.approx(asked_mps)
     assert vehicle.asked["setSpeedMode"] == mode
     assert av.leaders == ("ahead", "across")
+
+
+def test_it_stops_in_recordings_whose_traffic_sumo_drives(tmp_path):
+    motions = {
+        "av": straight_motion(-90, 0, 0.0, 12.0),
+        "other": straight_motion(0, -25, np.pi / 2, 8.0),
+    }
+    case = case_of(scene_of(crossing_road(), motions), tmp_path, "sumo")
+    policy = Stands((25.0, 2.8), 80.0, middle_m=np.zeros(2))
+    rollout = simulate(case, DRIVERS["idm lane"], policy, rng=np.random.default_rng(0))
+    tracks = rollout.tracks
+    av, other = (box(tracks, tracks.row(name)) for name in ("av", "other"))
+    assert not rollout.contacts
+    assert tracks.speed_mps[tracks.row("av"), -1] ** 2 / (2 * av.distance(other)) < 5.0
