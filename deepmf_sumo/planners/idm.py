@@ -4,7 +4,7 @@
 sees a car that cuts in as soon as the car's front crosses the lane's border. Where the recording
 leaves the lanes, the AV drives on a separate lane from which SUMO's model sees no other vehicle:
 there ``lane`` means ``corridor``. It stops for an opponent that stands in its way, too, whatever
-lane SUMO counts that on; not where the log drives the traffic.
+lane SUMO counts that on.
 ``corridor``: in addition, the AV follows the nearest box (vehicle, pedestrian or cyclist, on a lane
 or off the lanes) that reaches into the corridor that it is going to sweep.
 """

@@ -1,7 +1,6 @@
 """The car-following model of the AV's vehicle type in SUMO drives the AV.
 
-It stops for an opponent that stands in its way, too, whatever lane SUMO counts that on; not where
-the log drives the traffic of a recording.
+It stops for an opponent that stands in its way, too, whatever lane SUMO counts that on.
 """
 
 import numpy as np

@@ -5,12 +5,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepmf_sumo.scene import DT_S, AgentId, Command, Floats
+from deepmf_sumo.scene import DT_S, AgentId, Command, Floats, RoadMap
 from deepmf_sumo.scene.geometry import frames, polylines
-from deepmf_sumo.scene.geometry.slow import STANDING_MPS
+from deepmf_sumo.scene.geometry.slow import STANDING_MPS, STOOD_MPS
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.simulation import on_lane
 from deepmf_sumo.sumo.simulation.frame import Pose
+from deepmf_sumo.sumo.simulation.occupancy import Occupancy
 from deepmf_sumo.sumo.simulation.shown_motion import Jump, ShownMotion, read_pose
 from deepmf_sumo.sumo.simulation.sumo_api import MATCH_M, SumoApi
 from deepmf_sumo.sumo.simulation.vehicle_control import HandOver, has_stops, move
@@ -140,6 +141,28 @@ class SumoAv:
         if not self._path_known:
             self._path, self._path_known = self.ahead.centre_line(), True
         return self._path
+
+    def blocked_by(
+        self,
+        placed: Mapping[AgentId, Pose],
+        occupancy: Callable[[AgentId], Occupancy],
+        road: RoadMap,
+    ) -> dict[AgentId, float]:
+        """Gaps, in metres, to road users that were put in its way and stand there, or almost.
+
+        SUMO's driver looks at the lanes of its way, and at streams that cross them. A vehicle that
+        stands across its way may be on another lane for SUMO, or on none.
+
+        Args:
+            placed: those that SUMO does not drive, and where they were put in the last step.
+            occupancy: the agents around it now.
+            road: its levels.
+        """
+        standing = {one for one, pose in placed.items() if pose.speed_mps < STOOD_MPS}
+        line_m = self.path() if standing else None
+        if line_m is None:
+            return {}
+        return occupancy(self.id).in_its_way(self.id, line_m, standing, road)
 
     def drive(self, command: Command, blocking: Mapping[AgentId, float] | None = None) -> None:
         """Ask for the command in the coming step.

@@ -345,6 +345,7 @@ class LogWorld:
         width = float(self._tracks.size_m[self._av_row, 1])
         self._ignored = IgnoredVehicles(api, case.av_id, width)
         self._log_drives = False
+        self._opponents: dict[AgentId, Pose] = {}
         self._start(model)
         self._frame = self.history()[-1]
 
@@ -501,8 +502,7 @@ class LogWorld:
             self.av.place(logged(tracks, row, step))
             return Driver.LOG
         av = self.av
-        blocking = self._takeover.blocking(av.id, av.path, self._occupancy, self._case.road)
-        av.drive(command, blocking)
+        av.drive(command, av.blocked_by(self._opponents, self._occupancy, self._case.road))
         return Driver.PLANNER
 
     def _drive_opponents(self, poses: Mapping[AgentId, Pose | None]) -> dict[AgentId, Pose]:
@@ -516,7 +516,8 @@ class LogWorld:
                 self._takeover.hand_back(self._step, agent)
             else:
                 self._takeover.place(self._step, agent, pose, float(self._tracks.size_m[row, 0]))
-        return {agent: pose for agent, pose in poses.items() if pose is not None}
+        self._opponents = {agent: pose for agent, pose in poses.items() if pose is not None}
+        return self._opponents
 
     def _place_others(self, step: int, taken: Collection[int]) -> None:
         if step >= self._tracks.steps:

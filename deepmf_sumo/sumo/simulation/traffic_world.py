@@ -154,8 +154,7 @@ class TrafficWorld:
         """One step of SUMO, which drives an opponent without a pose."""
         self._step += 1
         av = self.av
-        blocking = self._takeover.blocking(av.id, av.path, self._occupancy, self._road)
-        av.drive(command, blocking)
+        av.drive(command, av.blocked_by(self._takeover.placed(), self._occupancy, self._road))
         self._driven = {agent for agent, pose in poses.items() if pose is not None}
         made = self._made.poses(self._since_start_s(), poses, self.next_owner.clear)
         for agent, pose in {**poses, **made}.items():

@@ -10,9 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from deepmf_sumo.scene import AgentId, Event, Floats, RoadMap, agent_ids
+from deepmf_sumo.scene import AgentId, Event, Floats, agent_ids
 from deepmf_sumo.scene.geometry import frames, polylines
-from deepmf_sumo.scene.geometry.slow import STOOD_MPS
 from deepmf_sumo.sumo.network.footways import Footways, no_footways
 from deepmf_sumo.sumo.network.sumo_net import TURNS
 from deepmf_sumo.sumo.simulation.frame import Pose
@@ -321,28 +320,6 @@ class Takeover:
         """Those that SUMO does not drive, and where they were put in the last step."""
         vehicles = {agent: taken.pose for agent, taken in self._taken.items()}
         return vehicles | self.persons.placed()
-
-    def blocking(
-        self,
-        av: AgentId,
-        path: Callable[[], Floats | None],
-        occupancy: Callable[[AgentId], Occupancy],
-        road: RoadMap,
-    ) -> dict[AgentId, float]:
-        """Gaps, in metres, to road users that were put in the AV's way and stand there, or almost.
-
-        SUMO's driver of the AV looks at the lanes of its way, and at streams that cross them. A
-        vehicle that stands across its way may be on another lane for SUMO, or on none.
-
-        Args:
-            av: its id.
-            path: its way, (P, 2) from its front on; None off every lane.
-            occupancy: the agents around it now.
-            road: its levels.
-        """
-        standing = {one for one, pose in self.placed().items() if pose.speed_mps < STOOD_MPS}
-        line_m = path() if standing else None
-        return {} if line_m is None else occupancy(av).in_its_way(av, line_m, standing, road)
 
     def place(self, step: int, agent: AgentId, pose: Pose, length_m: float) -> None:
         """Put a road user at the pose at the end of the coming step, or take it off the road."""

@@ -157,14 +157,16 @@ def test_how_hard_it_brakes(speed_mps, across_mps, ahead_mps, asked_mps, mode):
     assert av.leaders == ("ahead", "across")
 
 
-def test_it_stops_in_recordings_whose_traffic_sumo_drives(tmp_path):
+@pytest.mark.parametrize("driver", DRIVERS)
+@pytest.mark.parametrize("traffic", ["log", "sumo"])
+def test_it_stops_in_recordings(tmp_path, traffic, driver):
     motions = {
         "av": straight_motion(-90, 0, 0.0, 12.0),
         "other": straight_motion(0, -25, np.pi / 2, 8.0),
     }
-    case = case_of(scene_of(crossing_road(), motions), tmp_path, "sumo")
+    case = case_of(scene_of(crossing_road(), motions), tmp_path, traffic)
     policy = Stands((25.0, 2.8), 80.0, middle_m=np.zeros(2))
-    rollout = simulate(case, DRIVERS["idm lane"], policy, rng=np.random.default_rng(0))
+    rollout = simulate(case, DRIVERS[driver], policy, rng=np.random.default_rng(0))
     tracks = rollout.tracks
     av, other = (box(tracks, tracks.row(name)) for name in ("av", "other"))
     assert not rollout.contacts
