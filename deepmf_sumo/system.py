@@ -431,9 +431,10 @@ def _own_mb(pid: int) -> float:
 
 def _children(pid: int | str) -> list[int]:
     found: list[int] = []
-    for thread in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            found += map(int, thread.read_text("ascii").split())
+    with contextlib.suppress(OSError):  # it, or one of its threads, may end meanwhile
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            with contextlib.suppress(OSError):
+                found += map(int, (thread / "children").read_text("ascii").split())
     return found
 
 

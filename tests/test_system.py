@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -121,6 +122,20 @@ def test_a_run_on_a_network_has_the_same_bytes_without_posix(tmp_path):
     spec = tiny_network.spec(tmp_path, "fixed", adversary=poses, duration_s="0.5")
     plain, bare = both(tmp_path, "run", spec, "--no-pictures")
     assert same_bytes.differences(plain, bare) == []
+
+
+@pytest.mark.sumo
+@pytest.mark.skipif(not system.COPIES, reason="no copies of processes")
+def test_memory_is_measured_while_processes_end():
+    """A race: with the list of threads read without care one of 100 ends was an error."""
+    for _ in range(60):
+        if (child := os.fork()) == 0:
+            os._exit(0)
+        waiting = threading.Thread(target=os.waitpid, args=(child, 0))
+        waiting.start()
+        while waiting.is_alive():
+            assert not system.holds_more_than(1e6, child)
+        waiting.join()
 
 
 def test_endings_in_words():
