@@ -47,14 +47,14 @@ class Profile:
 
 
 PROFILES: Final[dict[ProfileName, Profile]] = {
-    "fair": Profile(constraints=("clean", "fair", "no_rear_end", "with_traffic"), tries=4),
+    "fair": Profile(constraints=("clean", "fair", "no_rear_end", "with_traffic"), tries=8),
     "any": Profile(),
     "lawful": Profile(constraints=("lawful",)),
     "paper": Profile(form="paper", rule=None, in_turn=False),
 }
 """``fair``: a competent driver in the AV's place could avoid the attack (the constraint ``fair``),
 and the opponent touches nobody else and stays on the road (``clean``), does not ram it from behind
-(``no_rear_end``) and does not drive against the traffic (``with_traffic``); up to four tries;
+(``no_rear_end``) and does not drive against the traffic (``with_traffic``); up to eight tries;
 ``any``: whatever the opponent can drive; ``lawful``: it keeps the rules of traffic; ``paper``: the
 method as published."""
 DEFAULT: Final[ProfileName] = "fair"

@@ -320,7 +320,7 @@ def test_every_door_means_the_same_attack(tmp_path, monkeypatch):
     live = Settings(rule="likeliest", constraints=FAIR)
     assert found.pop("live") == ("fair", live)
     assert all(one == found["spec"] for one in found.values())
-    searched = {"goal": "finding", "tries": 4}
+    searched = {"goal": "finding", "tries": 8}
     assert found["spec"] == ("fair", live.model_copy(update=searched))
 
 
@@ -353,19 +353,19 @@ def test_every_door_takes_a_profile(tmp_path, monkeypatch, profile):
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ({}, ("finding", 4)),
-        ({"adversary": {"opponent": "b"}}, ("finding", 4)),
+        ({}, ("finding", 8)),
+        ({"adversary": {"opponent": "b"}}, ("finding", 8)),
         ({"adversary": {"tries": 1}}, ("finding", 1)),
         ({"adversary": {"tries": 9}}, ("finding", 9)),
         ({"adversary": {"goal": "hit"}}, ("hit", 1)),
         ({"adversary": {"goal": "hit", "tries": 3}}, ("hit", 3)),
         ({"adversary": {"constraints": ["on_road"]}}, ("hit", 1)),  # another kind of attack
         ({"adversary": {"sector": "rear"}}, ("hit", 1)),  # a ram is no finding
-        ({"adversary": {"sector": "front"}}, ("finding", 4)),
+        ({"adversary": {"sector": "front"}}, ("finding", 8)),
         ({"adversary": "G"}, ("hit", 1)),
         ({"adversary": {"version": "S1"}}, ("hit", 1)),
         ({"duration_s": 30.0}, ("hit", 1)),  # opponents in turn
-        ({"duration_s": 30.0, "opponents": "one"}, ("finding", 4)),
+        ({"duration_s": 30.0, "opponents": "one"}, ("finding", 8)),
         ({"profile": "any"}, ("hit", 1)),
         ({"profile": "lawful"}, ("hit", 1)),
         ({"profile": "paper"}, ("hit", 1)),
