@@ -257,10 +257,11 @@ def profiles() -> str:
             f"`{known.form}`",
             f"`{known.rule}`" if known.rule else "the form's",
             "`in_turn`" if known.in_turn else "`one`",
+            f"{known.tries}",
         ]
         for name, known in PROFILES.items()
     )
-    return table(f"profile, constraints, form, rule, opponents above {LONG_S:g} s", rows)
+    return table(f"profile, constraints, form, rule, opponents above {LONG_S:g} s, tries", rows)
 
 
 def metric_tables() -> str:

@@ -54,7 +54,7 @@ PROFILES: Final[dict[ProfileName, Profile]] = {
 }
 """``fair``: a competent driver in the AV's place could avoid the attack (the constraint ``fair``),
 and the opponent touches nobody else and stays on the road (``clean``), does not ram it from behind
-(``no_rear_end``) and does not drive against the traffic (``with_traffic``); up to eight tries;
+(``no_rear_end``) and does not drive against the traffic (``with_traffic``); several tries;
 ``any``: whatever the opponent can drive; ``lawful``: it keeps the rules of traffic; ``paper``: the
 method as published."""
 DEFAULT: Final[ProfileName] = "fair"
